@@ -1,0 +1,1 @@
+//! Corrected curvature measures of huge 3D images, streamed brick by brick.
