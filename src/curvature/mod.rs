@@ -1,0 +1,64 @@
+//! Measures to curvatures, in world units.
+//!
+//! Comes in: sums over a ball ([`BallSums`]) in voxel units, and `u` at its centre. Goes out:
+//! [`Curvature`]: H = mu1 / (2 mu0), G = mu2 / mu0, k1 <= k2 and their directions. This is the one
+//! place where lengths become world lengths.
+//!
+//! **Principal curvatures.** With M the summed tensor, k1 and k2 are the eigenvalues of
+//! M / mu0 - 1000 u u^T other than the one near -1000: the penalty keeps the eigenvector along `u`
+//! out. k1 + k2 is not exactly 2 H, since M may have a part along `u`; the difference is reported
+//! with the totals.
+//!
+//! Guaranteed: k1 <= k2; directions are unit vectors, up to sign. Not guaranteed: a meaning of the
+//! directions at umbilics, where k1 = k2.
+
+use glam::DVec3;
+
+use crate::measure::ball::BallSums;
+use crate::symmetric::{Symmetric, eigen};
+
+/// Penalty on the normal direction. Much smaller, and the normal part of the tensor mixes with
+/// the principal directions; much larger, and rounding of the eigenvalues shows. DGtal's value.
+const NORMAL_PENALTY: f64 = 1000.0;
+
+/// Curvatures at a surfel, in world units.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Curvature {
+    /// H, positive on a convex body.
+    pub mean: f64,
+    /// G.
+    pub gaussian: f64,
+    /// Smaller principal curvature.
+    pub k1: f64,
+    /// Larger principal curvature.
+    pub k2: f64,
+    /// Direction of `k1`, in image axes.
+    pub d1: DVec3,
+    /// Direction of `k2`, in image axes.
+    pub d2: DVec3,
+}
+
+impl Curvature {
+    /// Curvatures from sums around a surfel of normal `u`; `voxel_unit_world` is the length of a
+    /// voxel unit. `None` where mu0 is not positive, so that no quotient means anything.
+    #[must_use]
+    pub fn from_sums(sums: &BallSums, u: DVec3, voxel_unit_world: f64) -> Option<Self> {
+        if sums.mu0 <= 0.0 {
+            return None;
+        }
+        let per_length = 1.0 / voxel_unit_world;
+        let shape = sums.tensor.zip(&Symmetric::outer(u, u), |m, uu| {
+            m / sums.mu0 - NORMAL_PENALTY * uu
+        });
+        let principal = eigen(&shape);
+        let mu1 = sums.tensor.xx + sums.tensor.yy + sums.tensor.zz;
+        Some(Self {
+            mean: mu1 / (2.0 * sums.mu0) * per_length,
+            gaussian: sums.mu2 / sums.mu0 * per_length * per_length,
+            k1: principal.values[1] * per_length,
+            k2: principal.values[2] * per_length,
+            d1: principal.vectors[1],
+            d2: principal.vectors[2],
+        })
+    }
+}

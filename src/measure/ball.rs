@@ -1,0 +1,589 @@
+//! Sums of measures over the part of the surface in a ball.
+//!
+//! Comes in: the surface of a brick's core and halo, with the measures of its cells. Goes out:
+//! [`BallSums`] for a surfel of the core.
+//!
+//! **Which surfels** ([`Extent`]). W(p) are the surfels whose centroid is in the closed ball of
+//! radius rho around that of p. By default only C(p) counts, the part of W(p) connected to p
+//! through linels within W(p), so that another sheet nearby does not pollute the sum; `Whole`
+//! takes W(p), the paper's Borel set. Where the reach of the surface exceeds rho both are the same.
+//!
+//! **Which cells, and how much of them** ([`Weights`]):
+//!
+//! | weights | a surfel | a linel | a pointel |
+//! |---|---|---|---|
+//! | `Sharp` | 1 if in the set | 1 if both its surfels are | 1 if its whole umbrella is |
+//! | `Lumped` | 1 if in the set | 1/2 for each of its surfels that is | 1/d for each of its d surfels that is |
+//! | `Dgtal` | share of its extent in the ball | the same, by its ends and middle | 1 if in the ball |
+//!
+//! Guaranteed: sums are of integers, so exact; which cells take part is decided in integers
+//! (except the shares of `Dgtal`, which are rounded to 2^-32 each). `Sharp` counts fewer linels
+//! than the rim of the set has a share in, so it is low by about 0.6 / rho; it is what makes
+//! V - E + F of the set an Euler characteristic. `Lumped` has no such bias.
+
+use crate::khalimsky::axis;
+use crate::lattice::{Ball, Lattice, LatticeError};
+use crate::surfel::{Kind, Rim, Surfel, Walker, displacement};
+use crate::symmetric::Symmetric;
+
+use super::cells::{Around, CellMeasures, Lumped, Tensor, umbrella};
+use super::fixed;
+use super::surface::Surface;
+
+/// Which part of the surface in the ball is summed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Extent {
+    /// C(p): connected to the surfel within the ball.
+    #[default]
+    Connected,
+    /// W(p): all of it.
+    Whole,
+}
+
+/// How cells at the rim of the ball count.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Weights {
+    /// A cell counts wholly or not at all.
+    Sharp,
+    /// Linels and pointels are shared out to their surfels.
+    Lumped,
+    /// DGtal's inclusion ratios.
+    Dgtal,
+}
+
+/// Sums at one surfel, in voxel units.
+#[derive(Clone, Copy, Debug)]
+pub struct BallSums {
+    /// Corrected area.
+    pub mu0: f64,
+    /// Sum of the tensors of linels; its trace is mu1.
+    pub tensor: Symmetric,
+    /// Sum of mu2, a solid angle.
+    pub mu2: f64,
+    /// How C(p) ends.
+    pub rim: Rim,
+    /// The ball holds surfels that are not connected to this one within it.
+    pub several_sheets: bool,
+    /// Bits of [`super::cells::mark`] of the surfels summed, joined.
+    pub marks: u8,
+}
+
+/// Measures of all surfels of a [`Surface`], in the form the sums read.
+#[derive(Clone, Debug)]
+pub struct LocalMeasures {
+    marks: Vec<u8>,
+    lumped: Vec<Lumped>,
+    cells: Option<Box<LocalCells>>,
+}
+
+/// Unlumped measures, and which linel and umbrella each side and corner of a surfel is.
+#[derive(Clone, Debug)]
+struct LocalCells {
+    mu0: Vec<i64>,
+    linels: Vec<Tensor>,
+    umbrellas: Vec<i64>,
+    degree: Vec<u8>,
+    linel_of: Vec<[u32; 4]>,
+    umbrella_of: Vec<[u32; 4]>,
+}
+
+/// No linel or umbrella: it is on the border of the image or leaves the box.
+const NONE: u32 = u32::MAX;
+
+impl LocalMeasures {
+    /// Takes measures gathered for all surfels of a surface, in order.
+    ///
+    /// # Panics
+    /// If there are not as many as surfels.
+    #[must_use]
+    pub fn new(surface: &Surface, gathered: CellMeasures) -> Self {
+        assert_eq!(gathered.marks.len(), surface.len(), "one mark a surfel");
+        let cells = if gathered.owned_from.is_empty() {
+            assert_eq!(gathered.lumped.len(), surface.len(), "one lump a surfel");
+            None
+        } else {
+            Some(Box::new(LocalCells::new(surface, &gathered)))
+        };
+        Self {
+            marks: gathered.marks,
+            lumped: gathered.lumped,
+            cells,
+        }
+    }
+}
+
+impl LocalCells {
+    fn new(surface: &Surface, gathered: &CellMeasures) -> Self {
+        let count = surface.len();
+        let mut linel_of = vec![[NONE; 4]; count];
+        let mut umbrella_of = vec![[NONE; 4]; count];
+        let mut degree = vec![0; gathered.umbrellas.len()];
+        let mut members = Vec::with_capacity(8);
+        for i in 0..count {
+            let [mut linel, mut pointel] = gathered.owned_from[i];
+            let end = gathered.owned_from[i + 1];
+            for j in 0..4 {
+                let link = surface.links.of[i][j];
+                match link.surfel() {
+                    // Surfels at the edge of the box may own linels that leave it; those are
+                    // out of every ball, and the next surfel starts at its own offset.
+                    Some(n) if n > i && linel < end[0] => {
+                        linel_of[i][j] = linel;
+                        linel_of[n][link.side_there()] = linel;
+                        linel += 1;
+                    }
+                    _ => {}
+                }
+                if let Around::Cycle = umbrella(surface, i, j, &mut members) {
+                    if pointel == end[1] {
+                        continue;
+                    }
+                    degree[pointel as usize] = members.len() as u8;
+                    let (mut at, mut corner) = (i, j);
+                    for _ in 0..members.len() {
+                        umbrella_of[at][corner] = pointel;
+                        if let Ok(next) = surface.links.next_corner(at, corner) {
+                            (at, corner) = next;
+                        }
+                    }
+                    pointel += 1;
+                }
+            }
+        }
+        Self {
+            mu0: gathered.mu0.clone(),
+            linels: gathered.linels.clone(),
+            umbrellas: gathered.umbrellas.clone(),
+            degree,
+            linel_of,
+            umbrella_of,
+        }
+    }
+}
+
+/// A row of cells in the ball around a surfel of one kind, relative to its cell.
+#[derive(Clone, Copy, Debug)]
+struct BallRow {
+    kind: Kind,
+    dy: i32,
+    dz: i32,
+    x_from: i32,
+    x_to: i32,
+}
+
+/// Sums over balls of one radius.
+#[derive(Clone, Debug)]
+pub struct BallKernel {
+    ball: Ball,
+    /// The surfels that can take part: W(p), or for `Dgtal` those that may have a share.
+    wide: Ball,
+    extent: Extent,
+    weights: Weights,
+    edges: [f64; 3],
+    /// Rows of `wide` around a surfel along x, y, z.
+    rows: [Vec<BallRow>; 3],
+}
+
+/// Scratch memory of sums over one surface.
+#[derive(Clone, Debug, Default)]
+pub struct BallScratch {
+    walker: Walker,
+    linel_seen: Vec<u32>,
+    umbrella_seen: Vec<(u32, u32)>,
+    epoch: u32,
+}
+
+/// One, in the unit of the shares of `Dgtal`.
+const SHARE_ONE: f64 = (1u64 << 32) as f64;
+
+/// Half the diagonal of a surfel: no point of it is farther from its centroid, in voxel units.
+const HALF_DIAGONAL: f64 = 0.708;
+
+impl BallKernel {
+    /// Prepares for a radius in voxel units.
+    ///
+    /// # Errors
+    /// If the radius cannot be used.
+    pub fn new(
+        radius: f64,
+        extent: Extent,
+        weights: Weights,
+        lattice: &Lattice,
+    ) -> Result<Self, LatticeError> {
+        let metric = lattice.metric();
+        let ball = metric.khalimsky_ball(radius)?;
+        let wide = match weights {
+            Weights::Dgtal => metric.khalimsky_ball(radius + HALF_DIAGONAL)?,
+            Weights::Sharp | Weights::Lumped => ball,
+        };
+        let rows = [0, 1, 2].map(|axis| ball_rows(&wide, axis));
+        Ok(Self {
+            ball,
+            wide,
+            extent,
+            weights,
+            edges: lattice.edges(),
+            rows,
+        })
+    }
+
+    /// Radius, in voxel units.
+    #[must_use]
+    pub fn radius(&self) -> f64 {
+        self.ball.radius
+    }
+
+    /// How cells count.
+    #[must_use]
+    pub fn weights(&self) -> Weights {
+        self.weights
+    }
+
+    /// How many cells beyond its own a surfel's sums look, along each axis.
+    #[must_use]
+    pub fn reach(&self) -> [i32; 3] {
+        // To know which linel is whose, the owners around the ball need all their own links.
+        let rim = if self.weights == Weights::Lumped {
+            0
+        } else {
+            2
+        };
+        self.wide.reach().map(|r| r + rim)
+    }
+
+    /// Sums around surfel `start` of the surface, which must cover its reach.
+    #[inline]
+    #[must_use]
+    pub fn sum(
+        &self,
+        surface: &Surface,
+        measures: &LocalMeasures,
+        start: usize,
+        scratch: &mut BallScratch,
+    ) -> BallSums {
+        let rim = scratch
+            .walker
+            .walk(&surface.surfels, &surface.links, &self.ball, start);
+        let connected = scratch.walker.part().len();
+        let marks = scratch
+            .walker
+            .part()
+            .iter()
+            .fold(0, |m, &q| m | measures.marks[q as usize]);
+        let mut in_ball = 0;
+        if self.weights != Weights::Dgtal {
+            self.for_each_row(surface, start, |range| in_ball += range.len());
+        } else {
+            let centre = surface.surfels.list[start].k;
+            self.for_each_row(surface, start, |range| {
+                in_ball += range
+                    .filter(|&i| {
+                        self.ball
+                            .contains(displacement(surface.surfels.list[i].k, centre))
+                    })
+                    .count();
+            });
+        }
+        let (mu0, tensor, mu2) = match (self.weights, &measures.cells) {
+            (Weights::Lumped, _) => self.sum_lumped(surface, measures, start, scratch),
+            (Weights::Sharp, Some(cells)) => self.sum_sharp(surface, cells, start, scratch),
+            (Weights::Dgtal, Some(cells)) => self.sum_dgtal(surface, cells, start, scratch),
+            (Weights::Sharp | Weights::Dgtal, None) => unreachable!("measures are kept by cells"),
+        };
+        BallSums {
+            mu0,
+            tensor,
+            mu2,
+            rim,
+            several_sheets: in_ball > connected,
+            marks,
+        }
+    }
+
+    /// Ranges of surfel numbers that make up the wide ball.
+    #[inline]
+    fn for_each_row(
+        &self,
+        surface: &Surface,
+        start: usize,
+        mut f: impl FnMut(std::ops::Range<usize>),
+    ) {
+        let surfel = surface.surfels.oriented(start);
+        let (cell, cells) = (surfel.cell(), surface.index.cells());
+        for row in &self.rows[axis(surfel.orientation)] {
+            let (y, z) = (cell[1] + row.dy, cell[2] + row.dz);
+            if y < cells.lo[1] || y >= cells.hi[1] || z < cells.lo[2] || z >= cells.hi[2] {
+                continue;
+            }
+            let from = (cell[0] + row.x_from).max(cells.lo[0]);
+            let to = (cell[0] + row.x_to).min(cells.hi[0]);
+            if from < to {
+                f(surface.index.range(row.kind, from..to, y, z));
+            }
+        }
+    }
+
+    fn sum_lumped(
+        &self,
+        surface: &Surface,
+        measures: &LocalMeasures,
+        start: usize,
+        scratch: &BallScratch,
+    ) -> (f64, Symmetric, f64) {
+        let mut sums: Lumped = [0; 8];
+        let mut add = |lump: &Lumped| {
+            for (sum, x) in sums.iter_mut().zip(lump) {
+                *sum += x;
+            }
+        };
+        match self.extent {
+            Extent::Connected => {
+                scratch
+                    .walker
+                    .part()
+                    .iter()
+                    .for_each(|&q| add(&measures.lumped[q as usize]));
+            }
+            Extent::Whole => self.for_each_row(surface, start, |range| {
+                measures.lumped[range].iter().for_each(&mut add);
+            }),
+        }
+        let x = sums.map(|s| s as f64);
+        (
+            x[0] / fixed::ONE,
+            Symmetric::from_terms([1, 2, 3, 4, 5, 6].map(|t| x[t] / fixed::ONE)),
+            x[7] * fixed::LUMPED_SOLID_ANGLE,
+        )
+    }
+
+    fn sum_sharp(
+        &self,
+        surface: &Surface,
+        cells: &LocalCells,
+        start: usize,
+        scratch: &mut BallScratch,
+    ) -> (f64, Symmetric, f64) {
+        scratch.begin(cells);
+        let BallScratch {
+            walker,
+            linel_seen,
+            umbrella_seen,
+            epoch,
+        } = scratch;
+        let mut sums = WideSums::default();
+        // A linel counts when its second surfel is met, an umbrella when its last one is.
+        let mut add = |i: usize| {
+            sums.mu0 += i128::from(cells.mu0[i]);
+            for j in 0..4 {
+                let linel = cells.linel_of[i][j];
+                if linel != NONE {
+                    if linel_seen[linel as usize] == *epoch {
+                        sums.add_tensor(&cells.linels[linel as usize], 1);
+                    } else {
+                        linel_seen[linel as usize] = *epoch;
+                    }
+                }
+                let pointel = cells.umbrella_of[i][j];
+                if pointel != NONE {
+                    let seen = &mut umbrella_seen[pointel as usize];
+                    *seen = if seen.0 == *epoch {
+                        (*epoch, seen.1 + 1)
+                    } else {
+                        (*epoch, 1)
+                    };
+                    if seen.1 == u32::from(cells.degree[pointel as usize]) {
+                        sums.mu2 += i128::from(cells.umbrellas[pointel as usize]);
+                    }
+                }
+            }
+        };
+        match self.extent {
+            Extent::Connected => walker.part().iter().for_each(|&q| add(q as usize)),
+            Extent::Whole => self.for_each_row(surface, start, |range| range.for_each(&mut add)),
+        }
+        sums.to_measures(1.0)
+    }
+
+    fn sum_dgtal(
+        &self,
+        surface: &Surface,
+        cells: &LocalCells,
+        start: usize,
+        scratch: &mut BallScratch,
+    ) -> (f64, Symmetric, f64) {
+        scratch.begin(cells);
+        let centre = surface.surfels.list[start].k;
+        let BallScratch {
+            walker,
+            linel_seen,
+            umbrella_seen,
+            epoch,
+        } = scratch;
+        let share = |i: usize| self.surfel_share(surface, i, centre);
+        let mut sums = WideSums::default();
+        let mut add = |i: usize, share: i128| {
+            sums.mu0 += share * i128::from(cells.mu0[i]);
+            let surfel = &surface.surfels.list[i];
+            for j in 0..4 {
+                let linel = cells.linel_of[i][j];
+                if linel != NONE && linel_seen[linel as usize] != *epoch {
+                    linel_seen[linel as usize] = *epoch;
+                    let share = self.linel_share(surfel, j, centre);
+                    sums.add_tensor(&cells.linels[linel as usize], share);
+                }
+                let pointel = cells.umbrella_of[i][j];
+                if pointel != NONE && umbrella_seen[pointel as usize].0 != *epoch {
+                    umbrella_seen[pointel as usize].0 = *epoch;
+                    let k = corner(surfel, j);
+                    if self.distance(k, centre) <= self.ball.radius {
+                        sums.mu2 += i128::from(cells.umbrellas[pointel as usize]);
+                    }
+                }
+            }
+        };
+        match self.extent {
+            Extent::Connected => {
+                walker.walk_where(&surface.links, surface.len(), start, |i| {
+                    let share = share(i);
+                    if share > 0 {
+                        add(i, share);
+                    }
+                    share > 0
+                });
+            }
+            Extent::Whole => self.for_each_row(surface, start, |range| {
+                for i in range {
+                    let share = share(i);
+                    if share > 0 {
+                        add(i, share);
+                    }
+                }
+            }),
+        }
+        sums.to_measures(SHARE_ONE)
+    }
+
+    /// Distance of two places in Khalimsky coordinates, in voxel units.
+    fn distance(&self, k: [i32; 3], centre: [i16; 3]) -> f64 {
+        let mut squared = 0.0;
+        for a in 0..3 {
+            let d = 0.5 * self.edges[a] * f64::from(k[a] - i32::from(centre[a]));
+            squared += d * d;
+        }
+        squared.sqrt()
+    }
+
+    /// DGtal's inclusion ratio of a cell by the distances of some of its points.
+    fn inclusion(&self, nearest: f64, farthest: f64) -> i128 {
+        let radius = self.ball.radius;
+        let share = if farthest <= radius {
+            1.0
+        } else if radius <= nearest {
+            0.0
+        } else {
+            (radius - nearest) / (farthest - nearest)
+        };
+        (share * SHARE_ONE).round() as i128
+    }
+
+    fn surfel_share(&self, surface: &Surface, i: usize, centre: [i16; 3]) -> i128 {
+        let surfel = &surface.surfels.list[i];
+        let d = self.distance(surfel.k.map(i32::from), centre);
+        let (mut nearest, mut farthest) = (d, d);
+        for j in 0..4 {
+            let d = self.distance(corner(surfel, j), centre);
+            nearest = nearest.min(d);
+            farthest = farthest.max(d);
+        }
+        self.inclusion(nearest, farthest)
+    }
+
+    fn linel_share(&self, surfel: &Surfel, j: usize, centre: [i16; 3]) -> i128 {
+        let (a, b) = (corner(surfel, (j + 3) % 4), corner(surfel, j));
+        let middle = [0, 1, 2].map(|i| (a[i] + b[i]) / 2);
+        let d = [a, middle, b].map(|k| self.distance(k, centre));
+        self.inclusion(d[0].min(d[1]).min(d[2]), d[0].max(d[1]).max(d[2]))
+    }
+}
+
+/// Relative Khalimsky coordinates of the pointel at corner `j`: where side `j` ends.
+fn corner(surfel: &Surfel, j: usize) -> [i32; 3] {
+    use crate::khalimsky::{SIDES, sign};
+    let mut k = surfel.k.map(i32::from);
+    for side in [j, (j + 1) % 4] {
+        let direction = SIDES[surfel.orientation as usize][side];
+        k[axis(direction)] += sign(direction);
+    }
+    k
+}
+
+/// Sums wide enough for any ball.
+#[derive(Default)]
+struct WideSums {
+    mu0: i128,
+    tensor: [i128; 6],
+    mu2: i128,
+}
+
+impl WideSums {
+    fn add_tensor(&mut self, tensor: &Tensor, share: i128) {
+        for (sum, x) in self.tensor.iter_mut().zip(tensor) {
+            *sum += share * i128::from(*x);
+        }
+    }
+
+    /// As numbers; `one` is what a share of 1 was multiplied by, in mu0 and the tensor.
+    fn to_measures(&self, one: f64) -> (f64, Symmetric, f64) {
+        (
+            fixed::to_measure(self.mu0) / one,
+            Symmetric::from_terms(self.tensor.map(|t| fixed::to_measure(t) / one)),
+            fixed::to_solid_angle(self.mu2),
+        )
+    }
+}
+
+impl BallScratch {
+    fn begin(&mut self, cells: &LocalCells) {
+        if self.linel_seen.len() != cells.linels.len()
+            || self.umbrella_seen.len() != cells.umbrellas.len()
+            || self.epoch == u32::MAX
+        {
+            self.linel_seen = vec![0; cells.linels.len()];
+            self.umbrella_seen = vec![(0, 0); cells.umbrellas.len()];
+            self.epoch = 0;
+        }
+        self.epoch += 1;
+    }
+}
+
+/// Rows of cells whose surfels of each kind are in the ball around a surfel along `axis`.
+fn ball_rows(ball: &Ball, axis: usize) -> Vec<BallRow> {
+    let odd = |kind: usize, a: usize| i32::from(kind != a);
+    let reach = ball.reach();
+    let mut rows = Vec::new();
+    for dz in -reach[2]..=reach[2] {
+        for dy in -reach[1]..=reach[1] {
+            for kind in [Kind::Z, Kind::Y, Kind::X] {
+                let k = |a: usize, d: i32| 2 * d + odd(kind.axis(), a) - odd(axis, a);
+                let used = ball.metric.squared([0, k(1, dy), k(2, dz)]);
+                let Some(w) = ball.half_width(0, used) else {
+                    continue;
+                };
+                // cells with -w <= 2 dx + shift <= w
+                let shift = k(0, 0);
+                let x_from = (-w - shift + 1).div_euclid(2);
+                let x_to = (w - shift).div_euclid(2) + 1;
+                if x_from < x_to {
+                    rows.push(BallRow {
+                        kind,
+                        dy,
+                        dz,
+                        x_from,
+                        x_to,
+                    });
+                }
+            }
+        }
+    }
+    rows
+}

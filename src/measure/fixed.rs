@@ -1,0 +1,84 @@
+//! Fixed-point numbers of the measures.
+//!
+//! | measure | unit |
+//! |---|---|
+//! | mu0, tensor (mu1) | 2^-40, of areas and lengths in voxel units |
+//! | mu2 of a pointel | (pi/2) 2^-44, so that 4 pi is 2^47 exactly |
+//! | mu2 lumped on surfels | (pi/2) 2^-40 |
+//!
+//! Range: an edge tensor is at most pi, a mu2 at most 2 pi in absolute value. A ball of the
+//! largest radius holds under 2^20 voxels, so under 2^22 linels, pointels and surfels, and sums of
+//! tensors stay below 2^22 * 2^42 / 2^2 (linels are lumped by halves and at most 3 a voxel) and of
+//! lumped mu2 below 2^63; sums of unlumped measures are kept in 128 bits.
+
+/// One, in the unit of mu0 and the tensor.
+pub const ONE: f64 = (1u64 << 40) as f64;
+
+/// `pi / 2` in the unit of mu2 of a pointel.
+pub const QUARTER_TURN: i64 = 1 << 44;
+
+/// The full sphere, `4 pi`, in the unit of mu2 of a pointel.
+pub const SPHERE: i64 = 8 * QUARTER_TURN;
+
+/// Rounds an area or tensor term once, half away from zero.
+#[inline]
+#[must_use]
+pub fn from_measure(x: f64) -> i64 {
+    (x * ONE).round() as i64
+}
+
+/// Rounds a solid angle once, half away from zero, to the unit of mu2 of a pointel.
+#[inline]
+#[must_use]
+pub fn from_solid_angle(x: f64) -> i64 {
+    (x * (QUARTER_TURN as f64 / std::f64::consts::FRAC_PI_2)).round() as i64
+}
+
+/// A sum of areas or tensor terms as a number.
+#[inline]
+#[must_use]
+pub fn to_measure(sum: i128) -> f64 {
+    sum as f64 / ONE
+}
+
+/// A sum of mu2 of pointels as a solid angle.
+#[inline]
+#[must_use]
+pub fn to_solid_angle(sum: i128) -> f64 {
+    sum as f64 * (std::f64::consts::FRAC_PI_2 / QUARTER_TURN as f64)
+}
+
+/// Unit of mu2 lumped on surfels, as a solid angle.
+pub const LUMPED_SOLID_ANGLE: f64 = std::f64::consts::FRAC_PI_2 / ONE;
+
+/// The share of one of `degree` surfels in mu2 of a pointel, rounded half away from zero, in the
+/// unit of lumped mu2.
+#[inline]
+#[must_use]
+pub fn lumped_share(mu2: i64, degree: usize) -> i64 {
+    let divisor = 16 * degree as i64;
+    let half = divisor / 2;
+    if mu2 >= 0 {
+        (mu2 + half) / divisor
+    } else {
+        (mu2 - half) / divisor
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_sphere_is_four_pi() {
+        assert_eq!(from_solid_angle(4.0 * std::f64::consts::PI), SPHERE);
+        assert!((to_solid_angle(i128::from(SPHERE)) - 4.0 * std::f64::consts::PI).abs() < 1e-15);
+    }
+
+    #[test]
+    fn shares_are_odd_and_rounded() {
+        assert_eq!(lumped_share(16 * 3 * 5 + 24, 3), 6);
+        assert_eq!(lumped_share(-(16 * 3 * 5 + 24), 3), -6);
+        assert_eq!(lumped_share(16 * 3 * 5 + 23, 3), 5);
+    }
+}

@@ -1,0 +1,152 @@
+//! Normal estimators: a unit vector `u` for each surfel, pointing out of the solid.
+//!
+//! Comes in: the bits around a brick and the surfels of its core. Goes out: [`Normals`], one `u`
+//! a surfel, in the axes of the image. Each estimator declares its reach; nothing it gives
+//! depends on voxels beyond.
+//!
+//! | estimator | from | paper |
+//! |---|---|---|
+//! | [`trivial`] | the surfel's own direction; the measures become those of the normal cycle | 6.1.3, TN |
+//! | [`integral`] | covariance of the solid in a ball (digital integral invariants) | 6.1.3, II |
+//! | [`average`] | the trivial normals of the connected surface in a ball | introduction: "a local average of the naive normals" |
+//!
+//! Guaranteed: `|u| = 1` to rounding; a surfel where nothing can be estimated gets its trivial
+//! normal and is marked degenerate. Not guaranteed: that u points to the outer side of the
+//! surfel (`<u, n>` may be negative on thin parts); such rows are flagged.
+
+pub mod average;
+pub mod integral;
+pub mod trivial;
+
+use glam::DVec3;
+
+use crate::khalimsky::{Adjacency, Direction, axis, sign};
+use crate::lattice::{Ball, Lattice, LatticeError};
+use crate::surfel::{CellBox, Surfels};
+use crate::volume::PlaneWindow;
+
+/// Which way a normal of the covariance points. A covariance gives a line, not a direction.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Orientation {
+    /// The eigenvector nearest the first moment of the solid in the ball, pointing away from it.
+    #[default]
+    Moment,
+    /// The eigenvector of the smallest eigenvalue, on the outer side of the surfel: DGtal's rule.
+    /// It reverses some normals where the trivial normal is nearly tangent to the surface.
+    Trivial,
+}
+
+/// A normal estimator and its radius in voxel units.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Estimator {
+    /// u = n.
+    Trivial,
+    /// Digital integral invariants.
+    IntegralInvariant {
+        /// Radius of the ball of voxels.
+        radius: f64,
+        /// Which way u points.
+        orientation: Orientation,
+    },
+    /// Average of the trivial normals of the surface connected to the surfel in a ball.
+    SurfaceAverage {
+        /// Radius of the ball of surfels.
+        radius: f64,
+    },
+}
+
+/// Normals of consecutive surfels.
+#[derive(Clone, Debug, Default)]
+pub struct Normals {
+    /// Unit normals, in image axes and voxel units (so of box voxels in true proportion).
+    pub u: Vec<DVec3>,
+    /// Whether nothing could be estimated and `u` is the trivial normal.
+    pub degenerate: Vec<bool>,
+}
+
+/// An estimator made ready for a lattice.
+#[derive(Clone, Debug)]
+pub enum NormalKernel {
+    /// See [`trivial`].
+    Trivial,
+    /// See [`integral`].
+    Integral(integral::IntegralKernel),
+    /// See [`average`].
+    Average(average::AverageKernel),
+}
+
+impl NormalKernel {
+    /// Prepares an estimator.
+    ///
+    /// # Errors
+    /// If the radius cannot be used.
+    pub fn new(
+        estimator: Estimator,
+        lattice: &Lattice,
+        adjacency: Adjacency,
+    ) -> Result<Self, LatticeError> {
+        Ok(match estimator {
+            Estimator::Trivial => Self::Trivial,
+            Estimator::IntegralInvariant {
+                radius,
+                orientation,
+            } => Self::Integral(integral::IntegralKernel::new(
+                lattice.metric().voxel_ball(radius)?,
+                lattice.edges(),
+                orientation,
+            )),
+            Estimator::SurfaceAverage { radius } => Self::Average(average::AverageKernel::new(
+                lattice.metric().khalimsky_ball(radius)?,
+                lattice.edges(),
+                adjacency,
+            )),
+        })
+    }
+
+    /// How many voxels beyond its cell a surfel's normal looks, along each axis.
+    #[must_use]
+    pub fn reach(&self) -> [i32; 3] {
+        match self {
+            Self::Trivial => [0; 3],
+            // one more for the inner or outer voxel, which may be the cell below
+            Self::Integral(kernel) => kernel.ball().reach().map(|r| r + 1),
+            // the bits around the surfels in the ball tell how they join
+            Self::Average(kernel) => kernel.ball().reach().map(|r| r + 1),
+        }
+    }
+
+    /// The ball looked at, if there is one.
+    #[must_use]
+    pub fn ball(&self) -> Option<&Ball> {
+        match self {
+            Self::Trivial => None,
+            Self::Integral(kernel) => Some(kernel.ball()),
+            Self::Average(kernel) => Some(kernel.ball()),
+        }
+    }
+
+    /// Normals of the surfels owned by `core`, in Khalimsky order. `surfels` are those of `core`.
+    #[must_use]
+    pub fn estimate(
+        &self,
+        window: &PlaneWindow,
+        lattice: &Lattice,
+        core: CellBox,
+        surfels: &Surfels,
+    ) -> Normals {
+        match self {
+            Self::Trivial => trivial::estimate(surfels),
+            Self::Integral(kernel) => kernel.estimate(window, core, surfels),
+            Self::Average(kernel) => kernel.estimate(window, lattice, core, surfels),
+        }
+    }
+}
+
+/// The trivial normal of an orientation.
+#[inline]
+#[must_use]
+pub fn trivial_normal(orientation: Direction) -> DVec3 {
+    let mut n = DVec3::ZERO;
+    n[axis(orientation)] = f64::from(sign(orientation));
+    n
+}

@@ -1,0 +1,385 @@
+//! The surfels of a box of cells, numbered in Khalimsky order.
+//!
+//! Between consecutive planes of voxels lie the surfels along z (`kz` even), then, row by row,
+//! the surfels along y (`ky` even) and those along x. Laid out in that order, one bit a surfel,
+//! the rank of a bit is the number of the surfel: no hash, 1.5 bits of index a cell and axis.
+
+use std::ops::Range;
+
+use crate::khalimsky::{Direction, OrientedSurfel};
+use crate::lattice::Lattice;
+use crate::volume::{BitBox, PlaneWindow};
+
+/// A box of cells `lo <= c < hi`, in image coordinates.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CellBox {
+    /// First cell.
+    pub lo: [i32; 3],
+    /// One past the last cell.
+    pub hi: [i32; 3],
+}
+
+impl CellBox {
+    /// Extents of the box.
+    #[must_use]
+    pub fn size(&self) -> [i32; 3] {
+        [0, 1, 2].map(|a| self.hi[a] - self.lo[a])
+    }
+
+    /// The box grown by `reach` cells on each side, within a grid of `dims` cells.
+    #[must_use]
+    pub fn grown(&self, reach: [i32; 3], dims: [i32; 3]) -> CellBox {
+        CellBox {
+            lo: [0, 1, 2].map(|a| (self.lo[a] - reach[a]).max(0)),
+            hi: [0, 1, 2].map(|a| (self.hi[a] + reach[a]).min(dims[a])),
+        }
+    }
+
+    /// Whether a cell is in the box.
+    #[inline]
+    #[must_use]
+    pub fn contains(&self, c: [i32; 3]) -> bool {
+        (0..3).all(|a| self.lo[a] <= c[a] && c[a] < self.hi[a])
+    }
+}
+
+/// The axis along which surfels of a row separate voxels, in the order of Khalimsky coordinates.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// Surfels along z: `kz` is even.
+    Z,
+    /// Surfels along y.
+    Y,
+    /// Surfels along x.
+    X,
+}
+
+impl Kind {
+    /// The axis: 0, 1 or 2.
+    #[inline]
+    #[must_use]
+    pub const fn axis(self) -> usize {
+        match self {
+            Kind::X => 0,
+            Kind::Y => 1,
+            Kind::Z => 2,
+        }
+    }
+
+    const BY_AXIS: [Kind; 3] = [Kind::X, Kind::Y, Kind::Z];
+}
+
+/// The surfels of a box of cells as ranked bits.
+#[derive(Clone, Debug)]
+pub struct SurfelIndex {
+    cells: CellBox,
+    words_per_row: usize,
+    /// For each plane of cells: the rows of kind Z; then for each y a row of kind Y and one of X.
+    words: Vec<u64>,
+    /// Number of surfels before each word, and the total.
+    rank: Vec<u32>,
+}
+
+impl SurfelIndex {
+    /// Finds the surfels owned by `cells`. `bits` must hold the voxels from `cells.lo - 1` to
+    /// `cells.hi`, at least.
+    #[must_use]
+    pub fn find(bits: &BitBox, cells: CellBox, lattice: &Lattice) -> Self {
+        let size = cells.size();
+        let words_per_row = (size[0] as usize).div_ceil(64);
+        let rows = 3 * (size[1] * size[2]) as usize;
+        let mut words = vec![0u64; rows * words_per_row];
+        let x0 = (cells.lo[0] - bits.lo()[0]) as usize;
+        // Bits of cells that may own a surfel along x, and along y and z, in each word of a row.
+        let masks = |lo: i32, hi: i32| -> Vec<u64> {
+            (0..words_per_row)
+                .map(|w| {
+                    let first = cells.lo[0] + 64 * w as i32;
+                    let from = (lo - first).clamp(0, 64) as u32;
+                    let to = (hi.min(cells.hi[0]) - first).clamp(0, 64) as u32;
+                    low_bits(to) & !low_bits(from)
+                })
+                .collect()
+        };
+        let dims = lattice.dims.map(|n| n as i32);
+        // On an open image no surfel lies on the border: cell 0 owns none along the axis.
+        let first = i32::from(!lattice.closed);
+        let end = dims.map(|n| n + i32::from(lattice.closed));
+        let along_x = masks(first, end[0]);
+        let across_x = masks(0, dims[0]);
+        let plane_words = 3 * size[1] as usize * words_per_row;
+        let mut total = 0u32;
+        let mut rank = Vec::with_capacity(words.len() + 1);
+        for (dz, plane) in words.chunks_exact_mut(plane_words.max(1)).enumerate() {
+            let z = cells.lo[2] + dz as i32;
+            let z_owns = (first..end[2]).contains(&z);
+            let z_exists = z < dims[2];
+            let (z_rows, yx_rows) = plane.split_at_mut(size[1] as usize * words_per_row);
+            for dy in 0..size[1] as usize {
+                let y = cells.lo[1] + dy as i32;
+                let here = bits.row(y, z);
+                if z_owns && y < dims[1] {
+                    let below = bits.row(y, z - 1);
+                    for (w, out) in z_rows[dy * words_per_row..][..words_per_row]
+                        .iter_mut()
+                        .enumerate()
+                    {
+                        let x = x0 + 64 * w;
+                        *out = (BitBox::bits(here, x) ^ BitBox::bits(below, x)) & across_x[w];
+                    }
+                }
+                if !z_exists {
+                    continue;
+                }
+                let pair = &mut yx_rows[2 * dy * words_per_row..][..2 * words_per_row];
+                if (first..end[1]).contains(&y) {
+                    let before = bits.row(y - 1, z);
+                    for w in 0..words_per_row {
+                        let x = x0 + 64 * w;
+                        pair[w] = (BitBox::bits(here, x) ^ BitBox::bits(before, x)) & across_x[w];
+                    }
+                }
+                if y < dims[1] {
+                    for w in 0..words_per_row {
+                        let x = x0 + 64 * w;
+                        pair[words_per_row + w] =
+                            (BitBox::bits(here, x) ^ BitBox::bits(here, x - 1)) & along_x[w];
+                    }
+                }
+            }
+        }
+        for word in &words {
+            rank.push(total);
+            total += word.count_ones();
+        }
+        rank.push(total);
+        Self {
+            cells,
+            words_per_row,
+            words,
+            rank,
+        }
+    }
+
+    /// Number of surfels.
+    #[inline]
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.rank[self.rank.len() - 1] as usize
+    }
+
+    /// Whether there is no surfel.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The cells covered.
+    #[must_use]
+    pub fn cells(&self) -> CellBox {
+        self.cells
+    }
+
+    /// Memory held, in bytes.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        self.words.len() * 8 + self.rank.len() * 4
+    }
+
+    #[inline]
+    fn row_start(&self, kind: Kind, y: i32, z: i32) -> usize {
+        let size_y = (self.cells.hi[1] - self.cells.lo[1]) as usize;
+        let (y, z) = (
+            (y - self.cells.lo[1]) as usize,
+            (z - self.cells.lo[2]) as usize,
+        );
+        let row = match kind {
+            Kind::Z => 3 * size_y * z + y,
+            Kind::Y => 3 * size_y * z + size_y + 2 * y,
+            Kind::X => 3 * size_y * z + size_y + 2 * y + 1,
+        };
+        row * self.words_per_row
+    }
+
+    /// Number of surfels before the cell at `x` (which may be one past the row) of a row.
+    #[inline]
+    fn rank_at(&self, row_start: usize, x: i32) -> u32 {
+        let x = (x - self.cells.lo[0]) as usize;
+        let (w, bit) = (x / 64, x % 64);
+        let at = row_start + w;
+        if bit == 0 {
+            return self.rank[at];
+        }
+        self.rank[at] + (self.words[at] & low_bits(bit as u32)).count_ones()
+    }
+
+    /// Numbers of the surfels of one kind in the cells `x` of a row.
+    #[inline]
+    #[must_use]
+    pub fn range(&self, kind: Kind, x: Range<i32>, y: i32, z: i32) -> Range<usize> {
+        let row = self.row_start(kind, y, z);
+        self.rank_at(row, x.start) as usize..self.rank_at(row, x.end) as usize
+    }
+
+    /// Number of the surfel of a cell along an axis, if there is one. The cell must be covered.
+    #[inline]
+    #[must_use]
+    pub fn find_at(&self, axis: usize, cell: [i32; 3]) -> Option<u32> {
+        let row = self.row_start(Kind::BY_AXIS[axis], cell[1], cell[2]);
+        let x = (cell[0] - self.cells.lo[0]) as usize;
+        let (w, bit) = (x / 64, x % 64);
+        let word = self.words[row + w];
+        if word >> bit & 1 == 0 {
+            return None;
+        }
+        Some(self.rank[row + w] + (word & low_bits(bit as u32)).count_ones())
+    }
+
+    /// Calls `f` for each surfel in order: its kind and owning cell.
+    pub fn for_each(&self, mut f: impl FnMut(Kind, [i32; 3])) {
+        let CellBox { lo, hi } = self.cells;
+        let mut row = 0;
+        let scan = |kind, row: usize, y, z, f: &mut dyn FnMut(Kind, [i32; 3])| {
+            for (w, &word) in self.words[row * self.words_per_row..][..self.words_per_row]
+                .iter()
+                .enumerate()
+            {
+                let mut rest = word;
+                while rest != 0 {
+                    f(
+                        kind,
+                        [lo[0] + 64 * w as i32 + rest.trailing_zeros() as i32, y, z],
+                    );
+                    rest &= rest - 1;
+                }
+            }
+        };
+        for z in lo[2]..hi[2] {
+            for y in lo[1]..hi[1] {
+                scan(Kind::Z, row, y, z, &mut f);
+                row += 1;
+            }
+            for y in lo[1]..hi[1] {
+                scan(Kind::Y, row, y, z, &mut f);
+                scan(Kind::X, row + 1, y, z, &mut f);
+                row += 2;
+            }
+        }
+    }
+
+    /// Number of surfels in each plane of cells, without keeping an index: what a slab will cost.
+    #[must_use]
+    pub fn count_plane(window: &PlaneWindow, z: i32, lattice: &Lattice) -> u64 {
+        let dims = lattice.dims.map(|n| n as i32);
+        let words = (dims[0] as usize).div_ceil(64);
+        let zero = vec![0u64; words];
+        let mut count = 0u64;
+        for y in -1..=dims[1] {
+            let here = window.row(y, z).unwrap_or(&zero);
+            let before = window.row(y - 1, z).unwrap_or(&zero);
+            let below = window.row(y, z - 1).unwrap_or(&zero);
+            let along_y = lattice.closed || (1..dims[1]).contains(&y);
+            let along_z =
+                (0..dims[1]).contains(&y) && (lattice.closed || (1..dims[2]).contains(&z));
+            let mut carry = 0;
+            for w in 0..words {
+                if along_z {
+                    count += u64::from((here[w] ^ below[w]).count_ones());
+                }
+                if along_y {
+                    count += u64::from((here[w] ^ before[w]).count_ones());
+                }
+                let mut along_x = here[w] ^ (here[w] << 1 | carry);
+                carry = here[w] >> 63;
+                if w == 0 && !lattice.closed {
+                    along_x &= !1;
+                }
+                if w + 1 == words && dims[0] % 64 != 0 && !lattice.closed {
+                    along_x &= low_bits((dims[0] % 64) as u32);
+                }
+                count += u64::from(along_x.count_ones());
+            }
+            if lattice.closed && dims[0] % 64 == 0 {
+                count += carry;
+            }
+        }
+        count
+    }
+}
+
+/// The `n` lowest bits, `n <= 64`.
+#[inline]
+fn low_bits(n: u32) -> u64 {
+    if n >= 64 { !0 } else { (1 << n) - 1 }
+}
+
+/// A surfel of a box: its Khalimsky coordinates relative to the box's first cell, its orientation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Surfel {
+    /// Khalimsky coordinates less `2 * cells.lo`.
+    pub k: [i16; 3],
+    /// From the inner to the outer voxel.
+    pub orientation: Direction,
+}
+
+/// The places of the surfels of an index, in its order.
+#[derive(Clone, Debug, Default)]
+pub struct Surfels {
+    /// Khalimsky coordinates of the origin of the relative ones.
+    pub k0: [i32; 3],
+    /// The surfels.
+    pub list: Vec<Surfel>,
+}
+
+impl Surfels {
+    /// Extents of boxes whose relative coordinates fit 16 bits.
+    pub const MAX_CELLS: i32 = 16_000;
+
+    /// Lists the surfels of an index; `bits` tells which voxel is the inner one.
+    ///
+    /// # Panics
+    /// If the box is longer than [`Self::MAX_CELLS`] along an axis.
+    #[must_use]
+    pub fn list(index: &SurfelIndex, bits: &BitBox) -> Self {
+        let lo = index.cells().lo;
+        assert!(
+            index.cells().size().iter().all(|&n| n <= Self::MAX_CELLS),
+            "box too long"
+        );
+        let mut list = Vec::with_capacity(index.len());
+        index.for_each(|kind, cell| {
+            let axis = kind.axis();
+            // The cell itself inside: the surfel looks down the axis; else it looks up.
+            let orientation = 2 * axis as Direction + Direction::from(bits.inside(cell));
+            let mut k = [0, 1, 2].map(|a| (2 * (cell[a] - lo[a]) + 1) as i16);
+            k[axis] -= 1;
+            list.push(Surfel { k, orientation });
+        });
+        Self {
+            k0: lo.map(|c| 2 * c),
+            list,
+        }
+    }
+
+    /// Khalimsky coordinates of surfel `i` in the image.
+    #[inline]
+    #[must_use]
+    pub fn khalimsky(&self, i: usize) -> [i32; 3] {
+        let k = self.list[i].k;
+        [0, 1, 2].map(|a| self.k0[a] + i32::from(k[a]))
+    }
+
+    /// Surfel `i` by its inner voxel.
+    #[inline]
+    #[must_use]
+    pub fn oriented(&self, i: usize) -> OrientedSurfel {
+        let orientation = self.list[i].orientation;
+        let a = crate::khalimsky::axis(orientation);
+        let mut k = self.khalimsky(i);
+        k[a] -= crate::khalimsky::sign(orientation);
+        OrientedSurfel {
+            inner: k.map(|k| k >> 1),
+            orientation,
+        }
+    }
+}

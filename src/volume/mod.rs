@@ -1,0 +1,13 @@
+//! An open image that answers "is this voxel inside?", one bit a voxel.
+//!
+//! Comes in: stored voxels and a [`Criterion`]. Goes out: [`BitPlane`]s, one per plane of the
+//! image in order of z; a [`PlaneWindow`] of them; and a [`BitBox`], any box of voxels cut out of
+//! a window with the outside of the image filled with zeros.
+
+mod bits;
+mod criterion;
+mod euler;
+
+pub use bits::{BitBox, BitPlane, PlaneWindow};
+pub use criterion::{Binarizer, Criterion, CriterionError, Number};
+pub use euler::SolidCounts;
