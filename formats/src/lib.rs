@@ -1,1 +1,65 @@
-//! Corrected curvature measures of huge 3D images, streamed brick by brick.
+//! What the bytes of volume files mean: headers, voxels, maps and pipes.
+//!
+//! In: a path or a stream. Out: a [`Volume`], which is a [`Header`] and its voxels, by planes in
+//! order or by boxes. Nothing is decoded early: voxels stay bytes in the type and byte order of
+//! the file.
+//!
+//! ```no_run
+//! use std::path::Path;
+//! use curvox_formats::{OpenOptions, Voxels, open};
+//!
+//! let volume = open(Path::new("scan.nii.gz"), &OpenOptions::default())?;
+//! println!("{:?} voxels of {}", volume.header.dims, volume.header.voxel);
+//! let mut planes = volume.into_forward();
+//! let mut bytes = Vec::new();
+//! while planes.read_planes(16, &mut bytes)? > 0 { /* x fastest */ }
+//! for warning in planes.finish()? {
+//!     eprintln!("{warning}");
+//! }
+//! # Ok::<(), curvox_formats::Error>(())
+//! ```
+//!
+//! The rooms, in the order of the data: `input` (bytes forward, decompressed), `map` (bytes
+//! mapped), one file a format (`raw`, `npy`, `vol`, `nifti`), `open` (which of them, and how),
+//! `stream` and `stored` (planes and boxes), [`write`] (small outputs), [`conformance`] (what
+//! every reader must do).
+//!
+//! Guaranteed: the format is recognised by content, never by name; sizes from a file are checked
+//! before use; a damaged file is an error that names the place, not a panic or a huge
+//! allocation. Not guaranteed: that voxel values make sense (NaN, bytes other than 0 and 1 in a
+//! `bool`), which is for whoever interprets them.
+
+#![cfg_attr(not(unix), allow(dead_code))]
+
+pub mod conformance;
+
+mod error;
+
+mod header;
+
+mod input;
+
+mod map;
+
+mod nifti;
+
+mod npy;
+
+mod open;
+
+mod stored;
+
+mod stream;
+
+mod vol;
+
+mod volume;
+
+pub mod write;
+
+pub use error::{Error, ErrorKind};
+pub use header::{
+    ByteOrder, DType, Format, Header, ParseError, Region, Scaling, Unit, VoxelType,
+};
+pub use open::{IoMode, OpenOptions, RawLayout, open, open_stream};
+pub use volume::{ForwardVoxels, RandomVoxels, SourceInfo, Volume, Voxels};

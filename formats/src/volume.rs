@@ -1,0 +1,152 @@
+//! An open volume: its header, and its voxels by planes or by boxes.
+//!
+//! Every format ends here. A source that can only be read once, front to back, gives
+//! [`ForwardVoxels`]; one that can be read anywhere gives [`RandomVoxels`]. Voxels are bytes in
+//! the header's type and byte order, x fastest, whatever order the file has.
+
+use std::path::PathBuf;
+
+use crate::error::Error;
+use crate::header::{Header, Region};
+
+/// An open volume.
+pub struct Volume {
+    /// What the file says about the volume.
+    pub header: Header,
+    /// Its voxels.
+    pub voxels: Voxels,
+    /// Where it comes from.
+    pub source: SourceInfo,
+}
+
+/// How the voxels of a volume can be read.
+pub enum Voxels {
+    /// Once, planes in order.
+    Forward(Box<dyn ForwardVoxels>),
+    /// Any box, in any order, from any thread.
+    Random(Box<dyn RandomVoxels>),
+}
+
+/// Where a volume comes from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SourceInfo {
+    /// Path of the file, or the name given to the stream.
+    pub name: String,
+    /// The file that holds the voxels (the `.img` of a pair); `None` for a stream.
+    pub path: Option<PathBuf>,
+    /// Whether the voxels are compressed in the file.
+    pub compressed: bool,
+    /// Whether the voxels are mapped into memory.
+    pub mapped: bool,
+    /// Whether opening it again gives the same voxels: true for files, false for pipes.
+    pub re_readable: bool,
+    /// Bytes of the file that holds the voxels, compressed if it is; `None` for a stream.
+    pub length_bytes: Option<u64>,
+}
+
+/// Planes in order of z, x fastest, bytes in the header's byte order.
+pub trait ForwardVoxels: Send {
+    /// Replaces `out` by the next `count` planes, fewer only where the volume ends, and gives
+    /// their number: 0 after the last plane. `out` keeps its capacity, so a reused buffer is not
+    /// allocated again.
+    ///
+    /// # Errors
+    ///
+    /// If the data ends before the volume does, is damaged, or cannot be read. The reader is of
+    /// no further use then.
+    fn read_planes(&mut self, count: u64, out: &mut Vec<u8>) -> Result<u64, Error>;
+
+    /// Looks at what follows the last plane, so that checksums are verified, and gives warnings
+    /// (for instance on bytes that belong to no voxel).
+    ///
+    /// # Errors
+    ///
+    /// If a checksum is wrong or the data behind the voxels is damaged.
+    fn finish(&mut self) -> Result<Vec<String>, Error>;
+}
+
+/// Any box of voxels, in any order, from any thread.
+pub trait RandomVoxels: Send + Sync {
+    /// Replaces `out` by the voxels of `region`, x fastest.
+    ///
+    /// # Errors
+    ///
+    /// If the region leaves the volume, or the bytes cannot be read or changed since the volume
+    /// was opened.
+    fn read_box(&self, region: &Region, out: &mut Vec<u8>) -> Result<(), Error>;
+
+    /// The stored bytes of planes `z..z + count`, without a copy, where the file is mapped and
+    /// stores x fastest; `None` otherwise. Call [`RandomVoxels::check`] after using them: only
+    /// then is it known that they were the file's.
+    ///
+    /// # Errors
+    ///
+    /// If the planes leave the volume, or the file changed since it was opened.
+    fn planes(&self, z: u64, count: u64) -> Result<Option<&[u8]>, Error>;
+
+    /// To be called after the bytes given by [`RandomVoxels::planes`] were used.
+    ///
+    /// # Errors
+    ///
+    /// If the file changed under the map meanwhile: what was computed from the bytes is wrong.
+    fn check(&self) -> Result<(), Error>;
+
+    /// Says that planes before `z_end` are not needed for now, so that they do not count in this
+    /// process's resident memory. They can be read again all the same.
+    fn release(&self, z_end: u64) {
+        let _ = z_end;
+    }
+}
+
+impl Volume {
+    /// The voxels as planes in order, whatever the source can do.
+    pub fn into_forward(self) -> Box<dyn ForwardVoxels> {
+        match self.voxels {
+            Voxels::Forward(voxels) => voxels,
+            Voxels::Random(voxels) => {
+                Box::new(InOrder { voxels, dims: self.header.dims, next: 0 })
+            }
+        }
+    }
+}
+
+/// Random access read in order.
+struct InOrder {
+    voxels: Box<dyn RandomVoxels>,
+    dims: [u64; 3],
+    next: u64,
+}
+
+impl ForwardVoxels for InOrder {
+    fn read_planes(&mut self, count: u64, out: &mut Vec<u8>) -> Result<u64, Error> {
+        out.clear();
+        let [x, y, z] = self.dims;
+        let count = count.min(z - self.next);
+        if count > 0 {
+            let region = Region { origin: [0, 0, self.next], size: [x, y, count] };
+            self.voxels.read_box(&region, out)?;
+            self.next += count;
+            self.voxels.release(self.next);
+        }
+        Ok(count)
+    }
+
+    fn finish(&mut self) -> Result<Vec<String>, Error> {
+        self.voxels.check()?;
+        Ok(Vec::new())
+    }
+}
+
+impl std::fmt::Debug for Volume {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let voxels = match self.voxels {
+            Voxels::Forward(_) => "Forward",
+            Voxels::Random(_) => "Random",
+        };
+        f.debug_struct("Volume")
+            .field("header", &self.header)
+            .field("voxels", &voxels)
+            .field("source", &self.source)
+            .finish()
+    }
+}
