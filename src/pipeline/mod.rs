@@ -1,0 +1,30 @@
+//! The stages as threads, the channels between them, and the memory they may use.
+//!
+//! ```text
+//!   reader ------> normals ------> cells ------> sums ------> sink
+//!    planes of      surfels and u,  measures of   curvature     in order
+//!    bits           slab by slab    cells         rows
+//! ```
+//!
+//! Each arrow is a bounded channel that holds one message; each box is an OS thread that owns its
+//! state and nothing else. Within a stage the bricks of a slab are spread over a rayon pool; no
+//! worker of the pool ever waits on a channel. A stage waits for the slabs its reach asks for, so
+//! a halo is what the neighbours computed, never computed again.
+//!
+//! **Stopping.** A stage that fails, or finds the stop flag set, returns; its channels close, the
+//! stages above see a closed channel and return quietly, the stages below drain what they have.
+//! The first error of the lowest stage in the order above is reported.
+//!
+//! **Memory.** A slab takes its surfels from a budget before it is computed and gives them back
+//! when its last user drops it ([`budget`]). Slab heights adapt to the surface met; [`plan`]
+//! derives the rest from the memory allowed. Neither can show in the results.
+
+pub mod budget;
+pub mod plan;
+mod reader;
+mod run;
+mod stages;
+
+pub use plan::{Plan, PlanError};
+pub use reader::{ReadCounts, Source};
+pub use run::{Outcome, Progress, Settings, run};
