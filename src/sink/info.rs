@@ -58,7 +58,7 @@ impl TableInfo {
     ///
     /// # Errors
     ///
-    /// If there is no radius, if two radii would name the same columns, or if the image has no
+    /// If there is no radius, if one is not positive, if two radii would name the same columns, or if the image has no
     /// voxel or more than Khalimsky coordinates in 32 bits can number.
     pub fn check(&self) -> Result<(), SinkError> {
         if self.radii.is_empty() {

@@ -15,6 +15,8 @@ mod parquet;
 mod parts;
 mod run_record;
 mod single;
+mod slices;
+mod summary;
 mod whole_file;
 
 pub use batch::{CurvatureColumns, Flag, FlagSet, SurfelBatch};
@@ -26,6 +28,11 @@ pub use output::{REPORT_FILE, SLICES_DIRECTORY, SUMMARY_FILE, SURFELS_DIRECTORY,
 pub use parts::{PART_EDGE, PART_PLANES, Parts};
 pub use run_record::{PartRecord, RUN_FILE, RunRecord, RunRecorder, RunState};
 pub use single::{STDOUT, SingleSink};
+pub use slices::{Palette, SliceError, SliceMemory, SliceOptions, SliceSelection, SliceSink};
+pub use summary::{
+    Distribution, ExactTotals, FlagCount, HISTOGRAM_BINS, HISTOGRAM_REACH, Histogram,
+    RadiusSummary, RowTotals, RunFacts, Summary, SummarySink,
+};
 
 /// A receiver of the rows of a run.
 ///

@@ -54,11 +54,6 @@ impl WholeFile {
         })
     }
 
-    /// The name the file will have.
-    pub(crate) fn target(&self) -> &Path {
-        &self.target
-    }
-
     /// Puts the bytes on the device and gives the file its name.
     pub(crate) fn commit(mut self) -> Result<(), SinkError> {
         let Some(temporary) = &self.temporary else {
