@@ -1,0 +1,238 @@
+//! The table as a directory of parts: `surfels/part-00000.parquet` and so on.
+//!
+//! Comes in: batches, per column of parts in Khalimsky order; columns may alternate as they like.
+//! Goes out: one file for each part that has rows. A part appears when a later layer of its column
+//! begins, when [`SurfelSink::advance`] passes it, or at the end; it appears whole or not at all.
+//! Dropping the sink early leaves the finished parts and no temporary file. At most one part of
+//! each column is open at a time.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use parquet::errors::ParquetError;
+
+use super::SurfelSink;
+use super::batch::SurfelBatch;
+use super::columns::OrderCheck;
+use super::error::SinkError;
+use super::info::TableInfo;
+use super::output::{SURFELS_DIRECTORY, make_folder};
+use super::parquet::{Encoder, TableFormat};
+use super::parts::Parts;
+use super::run_record::{PartRecord, RunRecorder};
+use super::whole_file::{Digesting, WholeFile, checksum_of_file};
+
+const PARTS_BEFORE: &str = "the parts before it are complete";
+
+/// Writes the table as a directory of parts.
+pub struct DatasetSink {
+    folder: PathBuf,
+    info: TableInfo,
+    format: TableFormat,
+    parts: Parts,
+    order: OrderCheck,
+    columns: BTreeMap<[u32; 2], ColumnState>,
+    recorder: Option<Arc<RunRecorder>>,
+    /// Parts finished by the run that is resumed: their rows are not written again.
+    kept: BTreeSet<u64>,
+    done: Vec<PartRecord>,
+}
+
+/// How far a column of parts is.
+#[derive(Default)]
+struct ColumnState {
+    /// Layers below this one are finished.
+    layer: u32,
+    open: Option<OpenPart>,
+}
+
+struct OpenPart {
+    path: PathBuf,
+    encoder: Encoder<Digesting<WholeFile>>,
+}
+
+impl DatasetSink {
+    /// Begins the table below `directory`, which [`super::prepare_output`] made ready.
+    ///
+    /// With a `recorder`, finished parts are reported to it. If it was made by
+    /// [`RunRecorder::resume`], parts it lists are kept when their size and checksum are right and
+    /// written again otherwise; the caller sends all rows or leaves out the kept parts, as it
+    /// likes.
+    ///
+    /// # Errors
+    ///
+    /// If `info` is not valid or the folder cannot be made.
+    pub fn create(
+        directory: &Path,
+        info: TableInfo,
+        recorder: Option<Arc<RunRecorder>>,
+    ) -> Result<Self, SinkError> {
+        let format = TableFormat::new(&info)?;
+        let parts = Parts::new(info.dims);
+        let folder = directory.join(SURFELS_DIRECTORY);
+        make_folder(&folder)?;
+        let mut kept = BTreeSet::new();
+        let mut done = Vec::new();
+        for record in recorder.iter().flat_map(|recorder| recorder.record().parts) {
+            if is_intact(&folder, &record) {
+                kept.insert(record.part);
+                done.push(record);
+            } else if let Some(recorder) = &recorder {
+                recorder.forget(record.part);
+            }
+        }
+        let [columns_x, columns_y] = parts.columns();
+        let columns = (0..columns_y)
+            .flat_map(|y| (0..columns_x).map(move |x| ([x, y], ColumnState::default())))
+            .collect();
+        let order = OrderCheck::default();
+        Ok(Self {
+            folder,
+            info,
+            format,
+            parts,
+            order,
+            columns,
+            recorder,
+            kept,
+            done,
+        })
+    }
+
+    /// Finished parts so far, by index; parts without rows included.
+    #[must_use]
+    pub fn parts_done(&self) -> Vec<PartRecord> {
+        let mut done = self.done.clone();
+        done.sort_by_key(|record| record.part);
+        done
+    }
+
+    /// Whether a resumed run keeps this part, so that its rows need not be computed.
+    #[must_use]
+    pub fn is_kept(&self, part: u64) -> bool {
+        self.kept.contains(&part)
+    }
+
+    /// Finishes the layers of a column below `layer`, those without rows too.
+    fn close_below(&mut self, column: [u32; 2], layer: u32) -> Result<(), SinkError> {
+        let Some(state) = self.columns.get_mut(&column) else {
+            return Err(SinkError::Contract(format!(
+                "there is no column {column:?} of parts"
+            )));
+        };
+        let first = self.done.len();
+        while state.layer < layer {
+            let part = self.parts.index(state.layer, column);
+            let open = state.open.take();
+            state.layer += 1;
+            if self.kept.contains(&part) {
+                continue;
+            }
+            self.done.push(match open {
+                Some(open) => open.close(part)?,
+                None => PartRecord {
+                    part,
+                    file: None,
+                    rows: 0,
+                    bytes: 0,
+                    checksum: None,
+                },
+            });
+        }
+        match &self.recorder {
+            Some(recorder) => recorder.parts_done(self.done[first..].iter().cloned()),
+            None => Ok(()),
+        }
+    }
+
+    fn open_part(&self, part: u64) -> Result<OpenPart, SinkError> {
+        let path = self.folder.join(part_name(part));
+        let file = WholeFile::create(&path).map_err(|error| error.with_note(PARTS_BEFORE))?;
+        let encoder = Encoder::new(Digesting::new(file), &self.format, &self.info)
+            .map_err(|error| write_error(&path, error))?;
+        Ok(OpenPart { path, encoder })
+    }
+}
+
+impl SurfelSink for DatasetSink {
+    fn write(&mut self, batch: &SurfelBatch) -> Result<(), SinkError> {
+        batch.check(&self.info)?;
+        self.order.check(batch, &self.parts)?;
+        let column = batch.column;
+        let mut from = 0;
+        while from < batch.len() {
+            let layer = self.parts.layer_of(batch.k[2][from]);
+            let rest = &batch.k[2][from..];
+            let to = from + rest.partition_point(|&kz| self.parts.layer_of(kz) == layer);
+            self.close_below(column, layer)?;
+            let part = self.parts.index(layer, column);
+            if !self.kept.contains(&part) {
+                let open = match self.columns.get_mut(&column).and_then(|c| c.open.take()) {
+                    Some(open) => open,
+                    None => self.open_part(part)?,
+                };
+                let Some(state) = self.columns.get_mut(&column) else {
+                    break;
+                };
+                let open = state.open.insert(open);
+                open.encoder
+                    .push(batch, from..to)
+                    .map_err(|e| write_error(&open.path, e))?;
+            }
+            from = to;
+        }
+        Ok(())
+    }
+
+    fn advance(&mut self, column: [u32; 2], kz: i32) -> Result<(), SinkError> {
+        // A coordinate at or beyond the image's end still belongs to the last layer.
+        self.close_below(column, self.parts.layer_of(kz))
+    }
+
+    fn finish(&mut self) -> Result<(), SinkError> {
+        let columns: Vec<_> = self.columns.keys().copied().collect();
+        columns
+            .into_iter()
+            .try_for_each(|column| self.close_below(column, self.parts.layers()))
+    }
+}
+
+impl OpenPart {
+    fn close(self, part: u64) -> Result<PartRecord, SinkError> {
+        let Self { path, encoder } = self;
+        let (output, rows) = encoder
+            .finish()
+            .map_err(|error| write_error(&path, error))?;
+        let (file, bytes, checksum) = output.into_parts();
+        file.commit()
+            .map_err(|error| error.with_note(PARTS_BEFORE))?;
+        let file = Some(part_name(part));
+        Ok(PartRecord {
+            part,
+            file,
+            rows,
+            bytes,
+            checksum: Some(checksum),
+        })
+    }
+}
+
+fn write_error(path: &Path, error: ParquetError) -> SinkError {
+    SinkError::parquet(path, "write", error).with_note(PARTS_BEFORE)
+}
+
+/// The file name of a part.
+fn part_name(part: u64) -> String {
+    format!("part-{part:05}.parquet")
+}
+
+/// Whether the file of a recorded part is there and unchanged.
+pub(crate) fn is_intact(folder: &Path, record: &PartRecord) -> bool {
+    let Some(name) = &record.file else {
+        return record.rows == 0;
+    };
+    let path = folder.join(name);
+    std::fs::metadata(&path).is_ok_and(|found| found.len() == record.bytes)
+        && checksum_of_file(&path).is_ok_and(|sum| Some(sum) == record.checksum)
+}
