@@ -244,6 +244,7 @@ impl Metric {
         Ok(Ball {
             radius,
             metric: *self,
+            squared,
             limit: limit as i64,
             doubled: factor > 1.0,
         })
@@ -257,7 +258,9 @@ pub struct Ball {
     pub radius: f64,
     /// The metric it is measured in.
     pub metric: Metric,
-    /// Squared distances up to this are inside.
+    /// Square of the radius in the unit of the metric (doubled where the ball is).
+    pub squared: f64,
+    /// Squared distances up to this are inside: the integer part of `squared`.
     pub limit: i64,
     doubled: bool,
 }

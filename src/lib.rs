@@ -1,5 +1,7 @@
 //! Corrected curvature measures of huge 3D images, streamed brick by brick.
 
+pub mod error;
+
 pub mod khalimsky;
 
 pub mod lattice;
@@ -17,3 +19,9 @@ pub mod measure;
 pub mod curvature;
 
 pub mod sink;
+
+pub mod brick;
+
+pub mod pipeline;
+
+pub use error::Error;

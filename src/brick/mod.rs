@@ -60,7 +60,10 @@ impl BrickGrid {
         let at = [number as i32 % nx, number as i32 / nx];
         let lo = at.map(|i| i * self.edge);
         let hi = [0, 1].map(|a| (lo[a] + self.edge).min(self.cell_dims[a]));
-        CellBox { lo: [lo[0], lo[1], z.start], hi: [hi[0], hi[1], z.end] }
+        CellBox {
+            lo: [lo[0], lo[1], z.start],
+            hi: [hi[0], hi[1], z.end],
+        }
     }
 }
 
@@ -84,7 +87,9 @@ pub struct SlabWindow<S> {
 
 impl<S> Default for SlabWindow<S> {
     fn default() -> Self {
-        Self { slabs: std::collections::VecDeque::new() }
+        Self {
+            slabs: std::collections::VecDeque::new(),
+        }
     }
 }
 
@@ -125,7 +130,11 @@ impl<S: Slab> SlabWindow<S> {
         PlaneWindow {
             dims,
             z0: self.slabs.front().map_or(0, |s| s.z().start),
-            planes: self.slabs.iter().flat_map(|s| s.planes().iter().cloned()).collect(),
+            planes: self
+                .slabs
+                .iter()
+                .flat_map(|s| s.planes().iter().cloned())
+                .collect(),
         }
     }
 
@@ -158,7 +167,11 @@ impl<S: Slab> SlabWindow<S> {
             }
         };
         for z in cells.lo[2]..cells.hi[2] {
-            let slab = self.slabs.iter().find(|s| s.z().contains(&z)).expect("plane held");
+            let slab = self
+                .slabs
+                .iter()
+                .find(|s| s.z().contains(&z))
+                .expect("plane held");
             for y in cells.lo[1]..cells.hi[1] {
                 row(slab, Kind::Z, y, z);
             }

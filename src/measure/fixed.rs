@@ -34,6 +34,15 @@ pub fn from_solid_angle(x: f64) -> i64 {
     (x * (QUARTER_TURN as f64 / std::f64::consts::FRAC_PI_2)).round() as i64
 }
 
+/// The integer nearest to `lift` over the full sphere, away from zero on a tie, so that mirrored
+/// umbrellas have opposite lifts.
+#[inline]
+#[must_use]
+pub fn nearest_lift(lift: i64) -> i64 {
+    let size = (lift.abs() + SPHERE / 2) / SPHERE;
+    if lift < 0 { -size } else { size }
+}
+
 /// A sum of areas or tensor terms as a number.
 #[inline]
 #[must_use]

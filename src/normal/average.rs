@@ -2,8 +2,7 @@
 //!
 //! u(p) is the direction of the sum over q in C(p) of (1 - t) n(q) area(q), with t = d^2 / r^2 and
 //! d the distance of the centroids. It uses the surface only, so another sheet nearby cannot
-//! disturb it. The weights are integers (limit - squared distance) and the sums exact: the same
-//! for any cut. On an island (a closed part within the ball) the sum means nothing and u = n.
+//! disturb it. The sums of n and of n d^2 are integers, so exact: the same for any cut. On an island (a closed part within the ball) the sum means nothing and u = n.
 
 use glam::DVec3;
 
@@ -64,20 +63,25 @@ impl AverageKernel {
                 as usize;
             let rim = walker.walk(&surfels, &links, &self.ball, start);
             let centre = surfels.list[start].k;
-            let mut sums = [0i64; 3];
+            // Per axis: sum of n, and of n times the squared distance.
+            let mut sums = [[0i64; 2]; 3];
             for &q in walker.part() {
                 let other = &surfels.list[q as usize];
-                let weight =
-                    self.ball.limit - self.ball.metric.squared(displacement(other.k, centre));
-                sums[axis(other.orientation)] += i64::from(sign(other.orientation)) * weight;
+                let n = i64::from(sign(other.orientation));
+                let sum = &mut sums[axis(other.orientation)];
+                sum[0] += n;
+                sum[1] += n * self.ball.metric.squared(displacement(other.k, centre));
             }
-            let degenerate = rim.is_island() || sums == [0; 3];
+            let v = DVec3::from_array([0, 1, 2].map(|a| {
+                self.areas[a] * (sums[a][0] as f64 - sums[a][1] as f64 / self.ball.squared)
+            }));
+            let degenerate = rim.is_island() || v == DVec3::ZERO;
             normals.degenerate.push(degenerate);
+            normals.cut.push(rim.open);
             normals.u.push(if degenerate {
                 trivial_normal(surfel.orientation)
             } else {
-                let v = [0, 1, 2].map(|a| sums[a] as f64 * self.areas[a]);
-                DVec3::from_array(v).normalize()
+                v.normalize()
             });
         }
         normals

@@ -23,13 +23,13 @@
 
 use glam::DVec3;
 
-use crate::khalimsky::moved;
-use crate::lattice::Ball;
+use crate::khalimsky::{OrientedSurfel, moved};
+use crate::lattice::{Ball, Lattice};
 use crate::surfel::{CellBox, Surfels};
 use crate::symmetric::{Eigen, Symmetric, eigen};
 use crate::volume::{BitBox, PlaneWindow};
 
-use super::{Normals, Orientation, trivial_normal};
+use super::{Normals, Orientation, touches_border, trivial_normal};
 
 /// Eigenvalues closer than this, relative to the largest, count as equal. Larger would merge
 /// directions that a shape really distinguishes; smaller would let rounding choose the basis of
@@ -175,6 +175,7 @@ impl IntegralKernel {
     pub(super) fn estimate(
         &self,
         window: &PlaneWindow,
+        lattice: &Lattice,
         core: CellBox,
         surfels: &Surfels,
     ) -> Normals {
@@ -228,9 +229,38 @@ impl IntegralKernel {
                 }
             };
             normals.degenerate.push(u.is_none());
+            normals.cut.push(false);
             normals.u.push(u.unwrap_or(n));
         }
+        if !lattice.closed {
+            for (i, cut) in normals.cut.iter_mut().enumerate() {
+                let surfel = surfels.oriented(i);
+                *cut = touches_border(surfel, lattice) || self.is_cut(&bits, surfel, lattice);
+            }
+        }
         normals
+    }
+
+    /// Whether the box around the ball of a surfel leaves the image where inside voxels lie on
+    /// the border: what continues beyond is then unknown and was taken as outside.
+    fn is_cut(&self, bits: &BitBox, surfel: OrientedSurfel, lattice: &Lattice) -> bool {
+        let reach = self.ball.reach();
+        let (p, q) = (surfel.inner, surfel.outer());
+        let dims = lattice.dims.map(|n| n as i32);
+        let lo = [0, 1, 2].map(|a| p[a].min(q[a]) - reach[a]);
+        let hi = [0, 1, 2].map(|a| p[a].max(q[a]) + reach[a]);
+        (0..3).any(|a| {
+            let face = |at: i32| {
+                let mut from = lo.map(|x| x.max(0));
+                let mut to = [0, 1, 2].map(|b| hi[b].min(dims[b] - 1));
+                from[a] = at;
+                to[a] = at;
+                (from[2]..=to[2]).any(|z| {
+                    (from[1]..=to[1]).any(|y| (from[0]..=to[0]).any(|x| bits.inside([x, y, z])))
+                })
+            };
+            lo[a] < 0 && face(0) || hi[a] >= dims[a] && face(dims[a] - 1)
+        })
     }
 }
 

@@ -20,7 +20,7 @@ pub mod trivial;
 
 use glam::DVec3;
 
-use crate::khalimsky::{Adjacency, Direction, axis, sign};
+use crate::khalimsky::{Adjacency, Direction, OrientedSurfel, axis, sign};
 use crate::lattice::{Ball, Lattice, LatticeError};
 use crate::surfel::{CellBox, Surfels};
 use crate::volume::PlaneWindow;
@@ -62,6 +62,9 @@ pub struct Normals {
     pub u: Vec<DVec3>,
     /// Whether nothing could be estimated and `u` is the trivial normal.
     pub degenerate: Vec<bool>,
+    /// Whether the border of an open image cuts what the normal was estimated from: the surfel
+    /// touches the border, or its ball leaves the image where the solid meets the border.
+    pub cut: Vec<bool>,
 }
 
 /// An estimator made ready for a lattice.
@@ -135,8 +138,8 @@ impl NormalKernel {
         surfels: &Surfels,
     ) -> Normals {
         match self {
-            Self::Trivial => trivial::estimate(surfels),
-            Self::Integral(kernel) => kernel.estimate(window, core, surfels),
+            Self::Trivial => trivial::estimate(surfels, lattice),
+            Self::Integral(kernel) => kernel.estimate(window, lattice, core, surfels),
             Self::Average(kernel) => kernel.estimate(window, lattice, core, surfels),
         }
     }
@@ -149,4 +152,14 @@ pub fn trivial_normal(orientation: Direction) -> DVec3 {
     let mut n = DVec3::ZERO;
     n[axis(orientation)] = f64::from(sign(orientation));
     n
+}
+
+/// Whether a side of a surfel lies on the border of an open image.
+#[must_use]
+pub fn touches_border(surfel: OrientedSurfel, lattice: &Lattice) -> bool {
+    !lattice.closed
+        && (0..3).any(|a| {
+            let last = lattice.dims[a] as i32 - 1;
+            a != axis(surfel.orientation) && (surfel.inner[a] == 0 || surfel.inner[a] == last)
+        })
 }

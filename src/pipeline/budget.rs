@@ -23,7 +23,11 @@ impl Budget {
     /// A budget of `limit` bytes.
     #[must_use]
     pub fn new(limit: u64) -> Arc<Self> {
-        Arc::new(Self { limit, used: Mutex::new(0), returned: Condvar::new() })
+        Arc::new(Self {
+            limit,
+            used: Mutex::new(0),
+            returned: Condvar::new(),
+        })
     }
 
     /// The bytes that may be in use at once.
@@ -47,13 +51,20 @@ impl Budget {
             used = waited.unwrap_or_else(PoisonError::into_inner).0;
         }
         *used += bytes;
-        Some(Grant { budget: Arc::clone(self), bytes })
+        Some(Grant {
+            budget: Arc::clone(self),
+            bytes,
+        })
     }
 }
 
 impl Drop for Grant {
     fn drop(&mut self) {
-        let mut used = self.budget.used.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut used = self
+            .budget
+            .used
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
         *used -= self.bytes;
         self.budget.returned.notify_all();
     }

@@ -22,6 +22,7 @@
 pub mod budget;
 pub mod plan;
 mod reader;
+mod rows;
 mod run;
 mod stages;
 

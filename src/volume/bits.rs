@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use rayon::slice::ParallelSliceMut;
+
 /// One plane of the image, one bit a voxel, x fastest; each row starts on a word.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BitPlane {
@@ -25,6 +27,11 @@ impl BitPlane {
     #[must_use]
     pub fn row(&self, y: usize) -> &[u64] {
         &self.words[y * self.words_per_row..(y + 1) * self.words_per_row]
+    }
+
+    /// All rows, to be filled in parallel; bits past the last voxel of a row must stay zero.
+    pub fn par_rows_mut(&mut self) -> rayon::slice::ChunksExactMut<'_, u64> {
+        self.words.par_chunks_exact_mut(self.words_per_row)
     }
 
     /// All rows, to be filled; bits past the last voxel of a row must stay zero.

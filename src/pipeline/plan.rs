@@ -1,0 +1,239 @@
+//! Derives slab heights, brick edges and budgets from the memory allowed.
+//!
+//! What is held at once, for planes of `A` voxels, slabs of `S` planes, `R` and `H` the reaches of
+//! normals and sums along z:
+//!
+//! | what | size |
+//! |---|---|
+//! | program, sinks | [`FIXED_BYTES`], [`COLUMN_BYTES`] for each column of parts |
+//! | read buffer | one chunk of planes as stored, unless they are mapped |
+//! | bits, and the index of surfels | 11/16 byte a voxel (worst case) of R + 2 H + 6 S planes |
+//! | surfels in flight | [`Plan::surfel_bytes`] each, within [`Plan::surfel_budget_bytes`] |
+//! | scratch of a worker | [`SCRATCH_BYTES`] a surfel of a brick with its halo |
+//!
+//! The number of surfels is only known when they are met, so slabs adapt: a slab is lowered until
+//! the surfels that must be held at once fit ([`Plan::surfel_budget_bytes`]); a surface that does
+//! not fit with slabs of one plane stops the run with the memory it would need.
+
+use serde::Serialize;
+
+use crate::lattice::Lattice;
+use crate::measure::ball::{BallKernel, Weights};
+use crate::normal::NormalKernel;
+use crate::sink::Parts;
+use crate::surfel::Surfels;
+
+/// The program itself, its stacks, allocator slack and one open part.
+pub const FIXED_BYTES: u64 = 56 << 20;
+
+/// Buffers of each further column of parts that is open at the same time.
+pub const COLUMN_BYTES: u64 = 24 << 20;
+
+/// Scratch of a worker for each surfel of a brick and its halo: place, links, measures, stamps.
+pub const SCRATCH_BYTES: u64 = 120;
+
+/// Surfels a voxel of the worst volumes: random noise has 1.5.
+const DENSE: f64 = 1.6;
+
+/// Stored bytes read at a time; more only makes the buffer larger.
+const READ_BYTES: u64 = 4 << 20;
+
+/// Slabs held at once beside those within reach of the sums: one in each of two channels, one
+/// computed by each of three stages, one waited for.
+const SLABS_IN_FLIGHT: u64 = 6;
+
+/// How a run will use its memory.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Plan {
+    /// The memory allowed.
+    pub memory_bytes: u64,
+    /// Worker threads.
+    pub threads: usize,
+    /// Edge of a brick along x and y, in cells.
+    pub brick_edge: i32,
+    /// Greatest height of a slab, in planes.
+    pub slab_planes: i32,
+    /// Planes read at a time.
+    pub read_planes: u64,
+    /// Reach of the normals, in voxels.
+    pub normal_reach: [i32; 3],
+    /// Reach of the sums, in cells: the halo of a brick.
+    pub ball_reach: [i32; 3],
+    /// Memory of bits and indices.
+    pub bits_bytes: u64,
+    /// Memory of the read buffer.
+    pub read_bytes: u64,
+    /// Memory of the workers' scratch.
+    pub scratch_bytes: u64,
+    /// Memory of everything that does not depend on the volume, and of the sinks.
+    pub fixed_bytes: u64,
+    /// Memory left for surfels in flight.
+    pub surfel_budget_bytes: u64,
+    /// Memory of a surfel in flight.
+    pub surfel_bytes: u64,
+}
+
+/// Why there is no plan.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum PlanError {
+    /// The memory allowed is too small.
+    #[error(
+        "{} MiB of memory do not hold what a volume of {} x {} x {} voxels needs at these radii; \
+         allow at least {} MiB with --memory",
+        allowed_bytes >> 20, dims[0], dims[1], dims[2], needed_bytes.div_ceil(1 << 20)
+    )]
+    Memory {
+        /// The memory allowed.
+        allowed_bytes: u64,
+        /// Memory that would do.
+        needed_bytes: u64,
+        /// Extents of the volume.
+        dims: [u32; 3],
+    },
+    /// A ball spans too many cells.
+    #[error("the ball spans {0} voxels along an axis, expected at most {max}; use a smaller radius or resample flat voxels", max = Surfels::MAX_CELLS / 2)]
+    Reach(i32),
+    /// The brick edge cannot be used.
+    #[error("brick edge of {0} voxels, expected 8 to 1024")]
+    Brick(i32),
+}
+
+/// What a plan is made from.
+#[derive(Clone, Copy, Debug)]
+pub struct PlanRequest<'a> {
+    /// The voxel grid.
+    pub lattice: &'a Lattice,
+    /// The normals.
+    pub normals: &'a NormalKernel,
+    /// The sums, one for each radius.
+    pub balls: &'a [BallKernel],
+    /// Whether directions are among the results.
+    pub directions: bool,
+    /// Memory allowed.
+    pub memory_bytes: u64,
+    /// Further memory that the sinks hold during the whole run.
+    pub sink_bytes: u64,
+    /// Worker threads.
+    pub threads: usize,
+    /// Edge of bricks and greatest height of slabs, if they are to be fixed.
+    pub brick: Option<i32>,
+    /// Bytes of a stored voxel.
+    pub voxel_bytes: u64,
+    /// Whether stored planes are read into a buffer (not mapped).
+    pub buffered: bool,
+}
+
+impl Plan {
+    /// Makes a plan.
+    ///
+    /// # Errors
+    /// If the memory cannot hold the least that is needed, or a ball is too wide.
+    pub fn new(request: &PlanRequest<'_>) -> Result<Self, PlanError> {
+        let PlanRequest {
+            lattice,
+            normals,
+            balls,
+            ..
+        } = *request;
+        let ball_reach = balls.iter().fold([1; 3], |reach: [i32; 3], ball| {
+            let other = ball.reach();
+            [0, 1, 2].map(|a| reach[a].max(other[a]))
+        });
+        let normal_reach = normals.reach();
+        let widest = ball_reach
+            .into_iter()
+            .chain(normal_reach)
+            .max()
+            .unwrap_or(0);
+        if widest > Surfels::MAX_CELLS / 4 {
+            return Err(PlanError::Reach(2 * widest));
+        }
+        if let Some(edge) = request.brick {
+            if !(8..=1024).contains(&edge) {
+                return Err(PlanError::Brick(edge));
+            }
+        }
+        let lumped = balls.iter().all(|b| b.weights() == Weights::Lumped);
+        let radii = balls.len() as u64;
+        let row_bytes = 36 + radii * if request.directions { 44 } else { 20 };
+        // u and marks, measures, and a row both as computed and as written
+        let surfel_bytes = 26 + if lumped { 65 } else { 125 } + 2 * row_bytes;
+        let [x, y, z] = lattice.dims.map(u64::from);
+        let plane_bits = x.div_ceil(64) * 8 * y;
+        let stored_plane = x * y * request.voxel_bytes;
+        let read_planes = (READ_BYTES / stored_plane.max(1)).clamp(1, 64).min(z);
+        let read_bytes = if request.buffered {
+            2 * read_planes * stored_plane
+        } else {
+            0
+        };
+        let columns = Parts::new(lattice.dims).columns();
+        let columns = u64::from(columns[0]) * u64::from(columns[1]);
+        let fixed_bytes = FIXED_BYTES + (columns - 1) * COLUMN_BYTES + request.sink_bytes;
+        let bits_bytes = |slab: i32| {
+            let planes = normal_reach[2] as u64
+                + 2 * (ball_reach[2] as u64 + 1)
+                + SLABS_IN_FLIGHT * slab as u64;
+            // bits, and 3 words of 12 bytes of index for each word of bits
+            (plane_bits * planes.min(z + 1)).saturating_mul(11) / 2
+        };
+        let scratch_bytes = |edge: i32, slab: i32| {
+            let cells = f64::from((edge + 2 * ball_reach[0]).min(lattice.dims[0] as i32 + 1))
+                * f64::from((edge + 2 * ball_reach[1]).min(lattice.dims[1] as i32 + 1))
+                * f64::from((slab + 2 * ball_reach[2]).min(lattice.dims[2] as i32 + 1));
+            (cells * DENSE * SCRATCH_BYTES as f64) as u64 * request.threads as u64
+        };
+        let base = fixed_bytes.saturating_add(read_bytes);
+        let left = request.memory_bytes.saturating_sub(base);
+        // Bits may take up to 3/8 and scratch up to 1/4; the rest is for surfels.
+        let fits = |edge: i32, slab: i32| {
+            bits_bytes(slab) <= left / 8 * 3 && scratch_bytes(edge, slab) <= left / 4
+        };
+        const HEIGHTS: [i32; 12] = [64, 48, 32, 24, 16, 12, 8, 6, 4, 3, 2, 1];
+        let edges: &[i32] = match request.brick {
+            Some(ref edge) => std::slice::from_ref(edge),
+            None => &[64, 48, 32, 24, 16],
+        };
+        let chosen = HEIGHTS
+            .iter()
+            .flat_map(|&slab| edges.iter().map(move |&edge| (edge, slab.min(edge))))
+            // low slabs beside wide bricks halo as much as narrow bricks do: prefer cubes
+            .filter(|&(edge, slab)| fits(edge, slab))
+            .max_by_key(|&(edge, slab)| (edge.min(2 * slab), slab, edge));
+        let chosen = match (chosen, request.brick) {
+            (Some((edge, _)), Some(fixed)) if edge == fixed && fits(edge, edge) => {
+                Some((edge, edge))
+            }
+            (chosen, _) => chosen,
+        };
+        let Some((brick_edge, slab_planes)) = chosen else {
+            let edge = edges[edges.len() - 1];
+            let needed =
+                (bits_bytes(1).saturating_mul(8) / 3).max(scratch_bytes(edge, 1).saturating_mul(4));
+            return Err(PlanError::Memory {
+                allowed_bytes: request.memory_bytes,
+                needed_bytes: base.saturating_add(needed).saturating_add(16 << 20),
+                dims: lattice.dims,
+            });
+        };
+        let (bits_bytes, scratch_bytes) = (
+            bits_bytes(slab_planes),
+            scratch_bytes(brick_edge, slab_planes),
+        );
+        Ok(Self {
+            memory_bytes: request.memory_bytes,
+            threads: request.threads,
+            brick_edge,
+            slab_planes,
+            read_planes,
+            normal_reach,
+            ball_reach,
+            bits_bytes,
+            read_bytes,
+            scratch_bytes,
+            fixed_bytes,
+            surfel_budget_bytes: left - bits_bytes - scratch_bytes,
+            surfel_bytes,
+        })
+    }
+}

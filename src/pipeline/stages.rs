@@ -1,0 +1,595 @@
+//! The stages between the reader and the sinks: each a loop over slabs, bricks in parallel.
+
+use std::collections::VecDeque;
+use std::ops::Range;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use crossbeam_channel::{Receiver, Sender};
+use glam::DVec3;
+use rayon::prelude::*;
+
+use crate::brick::{BrickGrid, Slab, SlabWindow};
+use crate::error::Error;
+use crate::measure::ball::{LocalMeasures, Weights};
+use crate::measure::cells::{self, CellMeasures, CellTotals, Keep, mark};
+use crate::measure::surface::Surface;
+use crate::sink::{Parts, SurfelBatch, SurfelSink};
+use crate::surfel::{CellBox, SurfelIndex, Surfels};
+use crate::volume::{BitBox, BitPlane, PlaneWindow, SolidCounts};
+
+use super::budget::Grant;
+use super::rows::BrickRows;
+use super::run::Shared;
+
+/// Surfels of a brick and their normals.
+#[derive(Debug)]
+pub(super) struct NormalBrick {
+    index: SurfelIndex,
+    u: Vec<DVec3>,
+    marks: Vec<u8>,
+}
+
+/// A slab with normals.
+#[derive(Debug)]
+pub(super) struct NormalSlab {
+    z: Range<i32>,
+    planes: Vec<Arc<BitPlane>>,
+    bricks: Vec<NormalBrick>,
+    _grant: Grant,
+}
+
+/// A slab with measures of its cells.
+#[derive(Debug)]
+pub(super) struct MeasureSlab {
+    normals: Arc<NormalSlab>,
+    measures: Vec<CellMeasures>,
+}
+
+/// Rows of one plane and column of parts.
+pub(super) struct Rows {
+    batch: SurfelBatch,
+    /// The plane of cells is complete with this batch.
+    last_of_plane: bool,
+}
+
+impl Slab for NormalSlab {
+    fn z(&self) -> Range<i32> {
+        self.z.clone()
+    }
+
+    fn index(&self, number: usize) -> &SurfelIndex {
+        &self.bricks[number].index
+    }
+
+    fn planes(&self) -> &[Arc<BitPlane>] {
+        &self.planes
+    }
+}
+
+impl Slab for MeasureSlab {
+    fn z(&self) -> Range<i32> {
+        self.normals.z()
+    }
+
+    fn index(&self, number: usize) -> &SurfelIndex {
+        self.normals.index(number)
+    }
+
+    fn planes(&self) -> &[Arc<BitPlane>] {
+        self.normals.planes()
+    }
+}
+
+fn grid(shared: &Shared<'_>) -> BrickGrid {
+    BrickGrid {
+        cell_dims: shared.lattice.cell_dims(),
+        edge: shared.plan.brick_edge,
+    }
+}
+
+/// Planes that have arrived and are still needed.
+struct Arrived<'a> {
+    shared: &'a Shared<'a>,
+    input: &'a Receiver<Vec<Arc<BitPlane>>>,
+    window: PlaneWindow,
+    /// Surfels of each plane of cells from `counted_from` on.
+    counts: VecDeque<u64>,
+    counted_from: i32,
+    done: bool,
+}
+
+impl Arrived<'_> {
+    fn end(&self) -> i32 {
+        self.window.z0 + self.window.planes.len() as i32
+    }
+
+    /// Waits until the planes before `z` are here, or the volume has ended.
+    fn wait_for(&mut self, z: i32) -> Result<(), Error> {
+        let depth = self.window.dims[2] as i32;
+        while self.end() < z.min(depth) {
+            let Ok(planes) = self.input.recv() else {
+                return Err(Error::Stopped);
+            };
+            let before = self.end();
+            self.window.planes.extend(planes);
+            self.count(before..self.end());
+        }
+        let cells = self.shared.lattice.cell_dims()[2];
+        if self.end() == depth && !self.done {
+            self.done = true;
+            self.count(depth..cells);
+        }
+        Ok(())
+    }
+
+    fn count(&mut self, planes: Range<i32>) {
+        let (window, lattice) = (&self.window, self.shared.lattice);
+        let counts: Vec<u64> = self.shared.pool.install(|| {
+            planes
+                .into_par_iter()
+                .map(|z| SurfelIndex::count_plane(window, z, lattice))
+                .collect()
+        });
+        self.counts.extend(counts);
+    }
+
+    fn surfels(&self, z: Range<i32>) -> u64 {
+        let from = (z.start - self.counted_from).max(0) as usize;
+        let to = (z.end - self.counted_from) as usize;
+        self.counts.range(from..to.max(from)).sum()
+    }
+
+    fn release_before(&mut self, planes: i32, counts: i32) {
+        let drop = (planes - self.window.z0).clamp(0, self.window.planes.len() as i32);
+        self.window.planes.drain(..drop as usize);
+        self.window.z0 += drop;
+        while self.counted_from < counts && !self.counts.is_empty() {
+            self.counts.pop_front();
+            self.counted_from += 1;
+        }
+    }
+}
+
+/// Second stage: extracts the surfels of each slab and estimates their normals.
+pub(super) fn normals(
+    shared: &Shared<'_>,
+    input: &Receiver<Vec<Arc<BitPlane>>>,
+    out: &Sender<Arc<NormalSlab>>,
+) -> Result<SolidCounts, Error> {
+    let grid = grid(shared);
+    let dims = shared.lattice.dims;
+    let depth = grid.cell_dims[2];
+    let reach = shared.kernels.normals.reach()[2] + 1;
+    let mut arrived = Arrived {
+        shared,
+        input,
+        window: PlaneWindow {
+            dims,
+            z0: 0,
+            planes: Vec::new(),
+        },
+        counts: VecDeque::new(),
+        counted_from: 0,
+        done: false,
+    };
+    let mut slabs: VecDeque<Range<i32>> = VecDeque::new();
+    let mut solid = SolidCounts::default();
+    let mut z = 0;
+    while z < depth {
+        arrived.wait_for(z + shared.plan.slab_planes + reach)?;
+        let (end, surfels) = choose_slab(shared, &arrived, &mut slabs, z)?;
+        let Some(grant) = shared
+            .budget
+            .take(surfels * shared.plan.surfel_bytes, shared.abort_flag())
+        else {
+            return Err(Error::Stopped);
+        };
+        let window = &arrived.window;
+        let bricks: Vec<NormalBrick> = shared.pool.install(|| {
+            (0..grid.len())
+                .into_par_iter()
+                .map(|number| normal_brick(shared, window, grid.core(number, &(z..end))))
+                .collect()
+        });
+        // Blocks of voxels end one plane above the image.
+        let blocks = z..if end == depth {
+            dims[2] as i32 + 1
+        } else {
+            end
+        };
+        let counted: Vec<SolidCounts> = shared.pool.install(|| {
+            blocks
+                .into_par_iter()
+                .map(|z| SolidCounts::of_plane(window, z))
+                .collect()
+        });
+        counted.iter().for_each(|c| solid.add(c));
+        shared
+            .progress
+            .surfels_found
+            .fetch_add(surfels, Ordering::Relaxed);
+        let planes = window.narrowed(z..end).planes;
+        let slab = NormalSlab {
+            z: z..end,
+            planes,
+            bricks,
+            _grant: grant,
+        };
+        debug_assert_eq!(
+            surfels,
+            slab.bricks.iter().map(|b| b.u.len() as u64).sum::<u64>()
+        );
+        if shared.stopped() || out.send(Arc::new(slab)).is_err() {
+            return Err(Error::Stopped);
+        }
+        slabs.push_back(z..end);
+        z = end;
+        arrived.release_before(z - reach - 1, slabs.front().map_or(z, |s| s.start));
+    }
+    // The reader has more to say only if it fails; its channel closes when it is done.
+    Ok(solid)
+}
+
+/// Chooses where the slab that begins at plane `z` ends, and counts its surfels.
+///
+/// The last stage can finish a slab, and so give memory back, only when the slabs within its
+/// reach exist. The slabs that must exist together are those from the lower reach of the first
+/// unfinished slab on; as long as they fit the budget, waiting for memory always ends.
+fn choose_slab(
+    shared: &Shared<'_>,
+    arrived: &Arrived<'_>,
+    slabs: &mut VecDeque<Range<i32>>,
+    z: i32,
+) -> Result<(i32, u64), Error> {
+    let depth = shared.lattice.cell_dims()[2];
+    let reach = shared.plan.ball_reach[2] + 2;
+    // The first slab that still waits for plane z, and the lowest it needs.
+    let waiting = slabs
+        .iter()
+        .find(|s| s.end + reach > z)
+        .map_or(z, |s| s.start);
+    let lowest = slabs
+        .iter()
+        .find(|s| s.end > waiting - reach)
+        .map_or(z, |s| s.start);
+    while slabs.front().is_some_and(|s| s.end <= lowest) {
+        slabs.pop_front();
+    }
+    let held = arrived.surfels(lowest..z);
+    let mut height = shared.plan.slab_planes.min(depth - z);
+    loop {
+        let own = arrived.surfels(z..z + height);
+        let bytes = (held + own) * shared.plan.surfel_bytes;
+        // Half the budget at most for what must be there, so that stages overlap.
+        let room = if height > 1 {
+            shared.budget.limit() / 2
+        } else {
+            shared.budget.limit()
+        };
+        if bytes <= room {
+            return Ok((z + height, own));
+        }
+        if height == 1 {
+            let more = bytes - shared.budget.limit();
+            return Err(Error::TooDense {
+                plane: z,
+                surfels: held + own,
+                needed_bytes: shared.plan.memory_bytes + more + more / 2,
+            });
+        }
+        height /= 2;
+    }
+}
+
+fn normal_brick(shared: &Shared<'_>, window: &PlaneWindow, core: CellBox) -> NormalBrick {
+    let bits = BitBox::cut(window, core.lo.map(|c| c - 1), core.hi.map(|c| c + 1));
+    let index = SurfelIndex::find(&bits, core, shared.lattice);
+    if index.is_empty() || shared.stopped() {
+        return NormalBrick {
+            index,
+            u: vec![],
+            marks: vec![],
+        };
+    }
+    let surfels = Surfels::list(&index, &bits);
+    let normals = shared
+        .kernels
+        .normals
+        .estimate(window, shared.lattice, core, &surfels);
+    let marks = normals
+        .degenerate
+        .iter()
+        .zip(&normals.cut)
+        .map(|(&degenerate, &cut)| {
+            (if degenerate { mark::DEGENERATE } else { 0 }) | (if cut { mark::CUT } else { 0 })
+        })
+        .collect();
+    NormalBrick {
+        index,
+        u: normals.u,
+        marks,
+    }
+}
+
+/// How measures are kept, given how they will be summed.
+fn keep(shared: &Shared<'_>) -> Keep {
+    if shared.settings.weights == Weights::Lumped {
+        Keep::Lumped
+    } else {
+        Keep::Cells
+    }
+}
+
+/// Third stage: measures of cells, with the normals of the surfels around.
+pub(super) fn cells(
+    shared: &Shared<'_>,
+    input: &Receiver<Arc<NormalSlab>>,
+    out: &Sender<MeasureSlab>,
+) -> Result<CellTotals, Error> {
+    let grid = grid(shared);
+    let depth = grid.cell_dims[2];
+    let mut window = SlabWindow::<NormalSlab>::default();
+    let mut totals = CellTotals::default();
+    let mut z = 0;
+    while z < depth {
+        let slab = loop {
+            // The surface of the core and one cell around needs the bits of one plane more.
+            if let Some(slab) = window.starting_at(z)
+                && window.end() >= (slab.z.end + 2).min(depth)
+            {
+                break slab;
+            }
+            match input.recv() {
+                Ok(next) => window.push(next),
+                Err(_) => return Err(Error::Stopped),
+            }
+        };
+        let voxels = window.voxels(shared.lattice.dims);
+        let evaluated: Vec<(CellMeasures, CellTotals)> = shared.pool.install(|| {
+            (0..grid.len())
+                .into_par_iter()
+                .map(|number| {
+                    let core = grid.core(number, &slab.z);
+                    if slab.index(number).is_empty() || shared.stopped() {
+                        return Default::default();
+                    }
+                    measure_brick(shared, &grid, &window, &voxels, core)
+                })
+                .collect()
+        });
+        let mut measures = Vec::with_capacity(evaluated.len());
+        for (brick, of_brick) in evaluated {
+            totals.add(&of_brick);
+            measures.push(brick);
+        }
+        let end = slab.z.end;
+        if shared.stopped()
+            || out
+                .send(MeasureSlab {
+                    normals: slab,
+                    measures,
+                })
+                .is_err()
+        {
+            return Err(Error::Stopped);
+        }
+        z = end;
+        window.release_before(z - 2);
+    }
+    Ok(totals)
+}
+
+fn measure_brick(
+    shared: &Shared<'_>,
+    grid: &BrickGrid,
+    window: &SlabWindow<NormalSlab>,
+    voxels: &PlaneWindow,
+    core: CellBox,
+) -> (CellMeasures, CellTotals) {
+    let around = core.grown([1; 3], grid.cell_dims);
+    let surface = Surface::extract(voxels, around, shared.lattice, shared.settings.adjacency);
+    let mut u = Vec::with_capacity(surface.len());
+    let mut marks = Vec::with_capacity(surface.len());
+    window.for_each_run(grid, around, |slab, number, run| {
+        u.extend_from_slice(&slab.bricks[number].u[run.clone()]);
+        marks.extend_from_slice(&slab.bricks[number].marks[run]);
+    });
+    assert_eq!(
+        u.len(),
+        surface.len(),
+        "bricks and their union have the same surfels"
+    );
+    cells::evaluate(
+        &surface,
+        core,
+        shared.lattice.edges(),
+        &u,
+        &marks,
+        keep(shared),
+    )
+}
+
+/// Fourth stage: sums over balls, curvatures, rows.
+pub(super) fn sums(
+    shared: &Shared<'_>,
+    input: &Receiver<MeasureSlab>,
+    out: &Sender<Rows>,
+) -> Result<(), Error> {
+    let grid = grid(shared);
+    let depth = grid.cell_dims[2];
+    let reach = shared.plan.ball_reach[2];
+    let mut window = SlabWindow::<MeasureSlab>::default();
+    let mut z = 0;
+    while z < depth {
+        let slab = loop {
+            if let Some(slab) = window.starting_at(z)
+                && window.end() >= (slab.z().end + reach + 1).min(depth)
+            {
+                break slab;
+            }
+            match input.recv() {
+                Ok(next) => window.push(Arc::new(next)),
+                Err(_) => return Err(Error::Stopped),
+            }
+        };
+        let voxels = window.voxels(shared.lattice.dims);
+        let rows: Vec<BrickRows> = shared.pool.install(|| {
+            (0..grid.len())
+                .into_par_iter()
+                .map(|number| {
+                    if slab.index(number).is_empty() || shared.stopped() {
+                        return BrickRows::default();
+                    }
+                    row_brick(shared, &grid, &window, &voxels, &slab, number)
+                })
+                .collect()
+        });
+        if shared.stopped() {
+            return Err(Error::Stopped);
+        }
+        for plane in slab.z() {
+            if send_plane(shared, &grid, &window, &rows, plane, out).is_err() {
+                return Err(Error::Stopped);
+            }
+        }
+        z = slab.z().end;
+        window.release_before(z - reach - 1);
+    }
+    Ok(())
+}
+
+fn row_brick(
+    shared: &Shared<'_>,
+    grid: &BrickGrid,
+    window: &SlabWindow<MeasureSlab>,
+    voxels: &PlaneWindow,
+    slab: &MeasureSlab,
+    number: usize,
+) -> BrickRows {
+    let core = grid.core(number, &slab.z());
+    let around = core.grown(shared.plan.ball_reach, grid.cell_dims);
+    let surface = Surface::extract(voxels, around, shared.lattice, shared.settings.adjacency);
+    let mut gathered = CellMeasures::default();
+    let by_cells = keep(shared) == Keep::Cells;
+    if by_cells {
+        gathered.owned_from.push([0, 0]);
+    }
+    window.for_each_run(grid, around, |slab, number, run| {
+        let from = &slab.measures[number];
+        gathered.marks.extend_from_slice(&from.marks[run.clone()]);
+        if by_cells {
+            gathered.mu0.extend_from_slice(&from.mu0[run.clone()]);
+            let [linels, umbrellas] = [0, 1].map(|i| {
+                from.owned_from[run.start][i] as usize..from.owned_from[run.end][i] as usize
+            });
+            let shift = [
+                gathered.linels.len() as u32 - linels.start as u32,
+                gathered.umbrellas.len() as u32 - umbrellas.start as u32,
+            ];
+            gathered.owned_from.extend(
+                from.owned_from[run.start + 1..=run.end]
+                    .iter()
+                    .map(|n| [n[0].wrapping_add(shift[0]), n[1].wrapping_add(shift[1])]),
+            );
+            gathered.linels.extend_from_slice(&from.linels[linels]);
+            gathered
+                .umbrellas
+                .extend_from_slice(&from.umbrellas[umbrellas]);
+        } else {
+            gathered.lumped.extend_from_slice(&from.lumped[run]);
+        }
+    });
+    let measures = LocalMeasures::new(&surface, gathered);
+    let brick = &slab.normals.bricks[number];
+    BrickRows::compute(
+        shared,
+        &surface,
+        &measures,
+        core,
+        &brick.u,
+        &slab.measures[number],
+    )
+}
+
+/// Sends the rows of one plane of cells, column by column of the parts.
+fn send_plane(
+    shared: &Shared<'_>,
+    grid: &BrickGrid,
+    window: &SlabWindow<MeasureSlab>,
+    rows: &[BrickRows],
+    plane: i32,
+    out: &Sender<Rows>,
+) -> Result<(), ()> {
+    let parts = Parts::new(shared.lattice.dims);
+    let columns = parts.columns();
+    let edge = crate::sink::PART_EDGE as i32;
+    for cy in 0..columns[1] {
+        for cx in 0..columns[0] {
+            let column = [cx, cy];
+            // The last column takes the cells beyond the image, which own surfels of its border.
+            let bounds = |a: usize| {
+                let lo = column[a] as i32 * edge;
+                let hi = if column[a] + 1 == columns[a] {
+                    grid.cell_dims[a]
+                } else {
+                    lo + edge
+                };
+                (lo, hi)
+            };
+            let ((x0, x1), (y0, y1)) = (bounds(0), bounds(1));
+            let cells = CellBox {
+                lo: [x0, y0, plane],
+                hi: [x1, y1, plane + 1],
+            };
+            let mut batch = SurfelBatch {
+                column,
+                ..Default::default()
+            };
+            window.for_each_run(grid, cells, |_, number, run| {
+                rows[number].append_to(&mut batch, run, shared);
+            });
+            let last_of_plane = cx + 1 == columns[0] && cy + 1 == columns[1];
+            out.send(Rows {
+                batch,
+                last_of_plane,
+            })
+            .map_err(|_| ())?;
+        }
+    }
+    Ok(())
+}
+
+/// Last stage: hands the rows to the sinks.
+pub(super) fn sink(
+    shared: &Shared<'_>,
+    input: Receiver<Rows>,
+    sinks: &mut [&mut dyn SurfelSink],
+) -> Result<(), Error> {
+    let mut planes = 0;
+    while let Ok(rows) = input.recv() {
+        if shared.stopped() {
+            return Err(Error::Stopped);
+        }
+        if !rows.batch.is_empty() {
+            for sink in sinks.iter_mut() {
+                sink.write(&rows.batch)?;
+            }
+        }
+        shared
+            .progress
+            .rows_done
+            .fetch_add(rows.batch.len() as u64, Ordering::Relaxed);
+        if rows.last_of_plane {
+            planes += 1;
+            shared.progress.planes_done.store(planes, Ordering::Relaxed);
+        }
+    }
+    if shared.stopped() || planes != shared.lattice.cell_dims()[2] as u64 {
+        return Err(Error::Stopped);
+    }
+    for sink in sinks.iter_mut() {
+        sink.finish()?;
+    }
+    Ok(())
+}
