@@ -44,11 +44,11 @@ pub struct Agreement {
 impl Agreement {
     fn add(&mut self, difference: f64, bound: f64) {
         self.rows += 1;
-        // A NaN is a difference beyond every bound.
-        if !(difference <= self.largest) {
+        // In total order NaN is the largest: it is beyond every bound.
+        if difference.total_cmp(&self.largest).is_gt() {
             self.largest = difference;
         }
-        self.beyond += usize::from(!(difference <= bound));
+        self.beyond += usize::from(difference.total_cmp(&bound).is_gt());
     }
 }
 
@@ -102,8 +102,8 @@ pub fn compare(solid: &Solid, gridstep: f64, shift: i32, table: &Table) -> Resul
     let (mean, gaussian) = (table.column("H_CNC")?, table.column("G_CNC")?);
     let (k1, k2) = (table.column("k1")?, table.column("k2")?);
     let names = ["normal_II", "H_CNC", "G_CNC", "k1", "k2", "d1", "d2"];
-    // The directions are stored as f32 and are as good as k2 - k1 is large: their sine is compared.
-    let bounds = [1e-9, 1e-9, 1e-7, 1e-6, 1e-6, 1e-5, 1e-5];
+    // A direction is as good as k2 - k1 is large: their product with its difference is compared.
+    let bounds = [1e-9, 1e-9, 1e-7, 1e-6, 1e-6, 1e-6, 1e-6];
     let mut columns: Vec<Column> = names
         .into_iter()
         .zip(bounds)
@@ -130,8 +130,8 @@ pub fn compare(solid: &Solid, gridstep: f64, shift: i32, table: &Table) -> Resul
             (c.gaussian - gaussian[i]).abs(),
             (c.k1 - k1[i]).abs(),
             (c.k2 - k2[i]).abs(),
-            line_difference(c.d1, d1[i]),
-            line_difference(c.d2, d2[i]),
+            line_difference(c.d1, d1[i]) * (c.k2 - c.k1),
+            line_difference(c.d2, d2[i]) * (c.k2 - c.k1),
         ];
         for (column, difference) in columns.iter_mut().zip(differences) {
             column.all.add(difference, column.bound);
@@ -150,7 +150,7 @@ pub fn compare(solid: &Solid, gridstep: f64, shift: i32, table: &Table) -> Resul
     })
 }
 
-/// Distance of two unit vectors up to sign.
+/// Largest difference of the coordinates of two unit vectors, up to sign.
 fn line_difference(a: Vector, b: Vector) -> f64 {
     let sign = if dot(a, b) < 0.0 { -1.0 } else { 1.0 };
     (0..3).fold(0.0, |most: f64, i| most.max((a[i] - sign * b[i]).abs()))

@@ -1,14 +1,14 @@
 //! Experiments around curvox, on the command line.
 
 use std::path::PathBuf;
-use std::time::Instant;
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 
+use curvox_tools::accuracy::KnownShape;
 use curvox_tools::agreement::{self, Comparison};
 use curvox_tools::npz::Table;
-use curvox_tools::{accuracy, goursat, vol};
+use curvox_tools::{goursat, vol};
 
 #[derive(Parser)]
 #[command(about = "Experiments around curvox", version)]
@@ -30,7 +30,7 @@ enum Command {
         #[arg(long)]
         dragon: Option<PathBuf>,
     },
-    /// Errors on Goursat of every choice of normals, weights and ball
+    /// Errors of every choice of normals, weights and ball on shapes of known curvature
     Errors {
         /// Folder of goursat_h1.npz, goursat_h0.5.npz, ...
         reference: PathBuf,
@@ -70,25 +70,34 @@ fn main() -> Result<()> {
             reference,
             gridsteps,
         } => {
-            println!("| h | normals | weights | ball | H | G | k1 | k2 | (l2 / linf)");
-            println!("|---|---|---|---|---|---|---|---|");
+            println!(
+                "| shape | h | normals | weights | ball | H l2 / linf | G | k1 | k2 | us normals + sums |"
+            );
+            println!("|---|---|---|---|---|---|---|---|---|---|");
             for gridstep in gridsteps {
-                let start = Instant::now();
-                for trial in accuracy::trials(&reference, gridstep)? {
-                    print!(
-                        "| {} | {} | {:?} | {:?} |",
-                        trial.gridstep, trial.normals, trial.weights, trial.ball
-                    );
-                    for e in trial.errors {
-                        print!(" {:.5} / {:.5} |", e.l2, e.linf);
-                    }
-                    println!();
-                }
-                eprintln!("h = {gridstep}: {:.1} s", start.elapsed().as_secs_f64());
+                print_trials("goursat", &KnownShape::goursat(&reference, gridstep)?);
+                print_trials("torus", &KnownShape::torus(gridstep));
+                print_trials("shell", &KnownShape::shell(gridstep));
             }
         }
     }
     Ok(())
+}
+
+fn print_trials(name: &str, shape: &KnownShape) {
+    for trial in shape.trials() {
+        print!(
+            "| {name} | {} | {} | {:?} | {:?} |",
+            shape.gridstep, trial.normals, trial.weights, trial.ball
+        );
+        for e in trial.errors {
+            print!(" {:.5} / {:.5} |", e.l2, e.linf);
+        }
+        println!(
+            " {:.1} + {:.1} |",
+            trial.microseconds[0], trial.microseconds[1]
+        );
+    }
 }
 
 fn print_comparison(name: &str, comparison: &Comparison) {

@@ -51,3 +51,58 @@ pub fn swept_area(n_f: Vector, n_g: Vector, u_g: Vector, u_f: Vector) -> f64 {
         triangle_area(n_f, n_g, u_f) + triangle_area(n_g, u_g, u_f)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::algebra::normalised;
+    use super::*;
+
+    const E: Vector = [0.0, 1.0, 0.0];
+    const Z: Vector = [0.0, 0.0, 1.0];
+    const X: Vector = [1.0, 0.0, 0.0];
+
+    #[test]
+    fn convex_edge_of_a_box_has_a_quarter_turn_bending_across_it() {
+        let m = linel_tensor(E, Z, X);
+        let quarter = std::f64::consts::FRAC_PI_2;
+        assert!((m[0] + m[1] + m[2] - quarter).abs() < 1e-15);
+        assert!((m[0] - quarter / 2.0).abs() < 1e-15 && m[1].abs() < 1e-15);
+        assert_eq!(linel_tensor([0.0, -1.0, 0.0], X, Z), m);
+    }
+
+    #[test]
+    fn closed_form_of_the_tensor_agrees_with_quadrature() {
+        for (u_f, u_g) in [
+            ([0.3, -0.2, 0.9], [0.8, 0.1, 0.2]),
+            ([0.1, 0.2, 0.9], [0.1, -0.3, -0.8]),
+            ([0.0, 0.0, 1.0], [0.001, 0.0, 1.0]),
+        ] {
+            let (u_f, u_g) = (normalised(u_f), normalised(u_g));
+            let m = linel_tensor(E, u_f, u_g);
+            let e1 = normalised(cross(u_f, u_g));
+            let psi = norm(cross(u_f, u_g)).atan2(dot(u_f, u_g));
+            const STEPS: usize = 2000;
+            let mut sum = [0.0; 6];
+            for step in 0..STEPS {
+                let theta = psi * (step as f64 + 0.5) / STEPS as f64;
+                let w = cross(e1, u_f);
+                let v = [0, 1, 2].map(|a| theta.cos() * u_f[a] + theta.sin() * w[a]);
+                let (a, b) = (cross(E, v), cross(e1, v));
+                for (entry, (i, j)) in ENTRIES.into_iter().enumerate() {
+                    sum[entry] += 0.5 * (a[i] * b[j] + a[j] * b[i]) * psi / STEPS as f64;
+                }
+            }
+            for entry in 0..6 {
+                assert!((sum[entry] - m[entry]).abs() < 1e-6, "{sum:?} {m:?}");
+            }
+            assert!((m[0] + m[1] + m[2] - psi * dot(E, e1)).abs() < 1e-14);
+        }
+    }
+
+    #[test]
+    fn octant_has_area_pi_over_2_and_a_flip_changes_the_sign() {
+        let octant = triangle_area(X, E, Z);
+        assert!((octant - std::f64::consts::FRAC_PI_2).abs() < 1e-15);
+        assert_eq!(triangle_area(E, X, Z), -octant);
+    }
+}

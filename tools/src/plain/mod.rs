@@ -175,13 +175,13 @@ pub fn measure(
         };
         if settings.count_sheets {
             let mut in_whole_ball = 0;
-            for_each_within(surface, p, ball.reach, |g| {
+            for_each_within(surface, p, ball.reach(), |g| {
                 in_whole_ball += usize::from(belongs(g))
             });
             flags.several_sheets = walk.members.len() < in_whole_ball;
         }
         if settings.ball == BallKind::Whole {
-            walk.whole(p, ball.reach, belongs);
+            walk.whole(p, ball.reach(), belongs);
         }
         let (sums, fixed_sums) = ball.sum(surface, cells, &walk, p);
         rows.push(Row {

@@ -133,7 +133,7 @@ impl LatticeBall {
         self.square(d) <= self.threshold
     }
 
-    /// The largest |d[axis]| in the ball, given the part of the weighted square already spent.
+    /// The largest extent along `axis` in the ball, given the part of the weighted square already spent.
     pub fn half_width(&self, axis: usize, spent: i64) -> Option<i32> {
         let rest = self.threshold - spent;
         (rest >= 0).then(|| (rest / self.weights[axis]).isqrt() as i32)

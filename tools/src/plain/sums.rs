@@ -73,8 +73,7 @@ pub struct Ball {
     radius: f64,
     scale: Scale,
     weights: Weights,
-    /// Bound of the members' distance from the centre along each axis.
-    pub(super) reach: [i32; 3],
+    reach: [i32; 3],
 }
 
 impl Ball {
@@ -90,6 +89,11 @@ impl Ball {
             weights,
             reach: ball_reach(&lattice).map(|reach| reach + more),
         }
+    }
+
+    /// Bound of the members' distance from the centre along each axis, in Khalimsky coordinates.
+    pub fn reach(&self) -> [i32; 3] {
+        self.reach
     }
 
     /// Is surfel `g` in the ball around surfel `centre`?
