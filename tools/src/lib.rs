@@ -1,1 +1,16 @@
-//! Corrected curvature measures of huge 3D images, streamed brick by brick.
+//! Tools around `curvox`: the oracle it is tested against, and the experiments
+//! that chose its defaults.
+//!
+//! * [`plain`] computes every measure by its definition, in scalar code, with the whole
+//!   volume in memory. It does not use the `curvox` crate.
+//! * [`goursat`], [`vol`] and [`npz`] bring in shapes and tables to compare with.
+//! * [`agreement`] compares the plain reference with DGtal, [`accuracy`] with the truth.
+
+pub mod plain;
+
+pub mod goursat;
+pub mod npz;
+pub mod vol;
+
+pub mod accuracy;
+pub mod agreement;

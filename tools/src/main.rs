@@ -1,0 +1,123 @@
+//! Experiments around curvox, on the command line.
+
+use std::path::PathBuf;
+
+use anyhow::Result;
+use clap::{Parser, Subcommand};
+
+use curvox_tools::accuracy::KnownShape;
+use curvox_tools::agreement::{self, Comparison};
+use curvox_tools::npz::Table;
+use curvox_tools::{goursat, vol};
+
+#[derive(Parser)]
+#[command(about = "Experiments around curvox", version)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Compare the plain reference with DGtal's numbers, row by row
+    Reference {
+        /// Folder of goursat_h1.npz, goursat_h0.5.npz, ...
+        reference: PathBuf,
+        /// Gridsteps of the Goursat tables to compare with
+        #[arg(long, value_delimiter = ',', default_value = "1,0.5,0.25")]
+        gridsteps: Vec<f64>,
+        /// The volume of dragon128_h1.npz, to compare with that too
+        #[arg(long)]
+        dragon: Option<PathBuf>,
+    },
+    /// Errors of every choice of normals, weights and ball on shapes of known curvature
+    Errors {
+        /// Folder of goursat_h1.npz, goursat_h0.5.npz, ...
+        reference: PathBuf,
+        /// Gridsteps of the Goursat tables
+        #[arg(long, value_delimiter = ',', default_value = "1,0.5,0.25")]
+        gridsteps: Vec<f64>,
+    },
+}
+
+fn main() -> Result<()> {
+    match Arguments::parse().command {
+        Command::Reference {
+            reference,
+            gridsteps,
+            dragon,
+        } => {
+            for gridstep in gridsteps {
+                let name = format!("goursat_h{gridstep}.npz");
+                let table = Table::read(&reference.join(&name))?;
+                let (solid, origin) = goursat::digitised(gridstep);
+                print_comparison(
+                    &name,
+                    &agreement::compare(&solid, gridstep, 2 * origin, &table)?,
+                );
+            }
+            if let Some(path) = dragon {
+                let name = "dragon128_h1.npz";
+                let table = Table::read(&reference.join(name))?;
+                // The file's first voxel has coordinate -1.
+                print_comparison(
+                    name,
+                    &agreement::compare(&vol::read(&path)?, 1.0, 2, &table)?,
+                );
+            }
+        }
+        Command::Errors {
+            reference,
+            gridsteps,
+        } => {
+            println!(
+                "| shape | h | normals | weights | ball | H l2 / linf | G | k1 | k2 | us normals + sums |"
+            );
+            println!("|---|---|---|---|---|---|---|---|---|---|");
+            for gridstep in gridsteps {
+                print_trials("goursat", &KnownShape::goursat(&reference, gridstep)?);
+                print_trials("torus", &KnownShape::torus(gridstep));
+                print_trials("shell", &KnownShape::shell(gridstep));
+            }
+        }
+    }
+    Ok(())
+}
+
+fn print_trials(name: &str, shape: &KnownShape) {
+    for trial in shape.trials() {
+        print!(
+            "| {name} | {} | {} | {:?} | {:?} |",
+            shape.gridstep, trial.normals, trial.weights, trial.ball
+        );
+        for e in trial.errors {
+            print!(" {:.5} / {:.5} |", e.l2, e.linf);
+        }
+        println!(
+            " {:.1} + {:.1} |",
+            trial.microseconds[0], trial.microseconds[1]
+        );
+    }
+}
+
+fn print_comparison(name: &str, comparison: &Comparison) {
+    println!(
+        "{name}: surfels folded {}, dropped {}, reversed {}, lifted {}",
+        comparison.folded, comparison.dropped, comparison.reversed, comparison.lifted
+    );
+    println!("| column | bound | all rows: largest | beyond | clean rows: largest | beyond |");
+    println!("|---|---|---|---|---|---|");
+    for column in &comparison.columns {
+        println!(
+            "| {} | {:.0e} | {:.1e} | {} of {} | {:.1e} | {} of {} |",
+            column.name,
+            column.bound,
+            column.all.largest,
+            column.all.beyond,
+            column.all.rows,
+            column.clean.largest,
+            column.clean.beyond,
+            column.clean.rows
+        );
+    }
+}

@@ -1,0 +1,240 @@
+//! Sums of the measures over the ball around a surfel.
+
+use super::cells::{Cells, MU2_UNIT, UNIT, nearest_quotient};
+use super::solid::{LatticeBall, Scale, snapped};
+use super::surface::{OPEN, Surface, minus};
+use super::walk::{Walk, ball_reach, in_ball};
+
+/// Which cells of the ball count, and how much.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Weights {
+    /// A linel counts if both its surfels do, a pointel if its whole umbrella does.
+    Sharp,
+    /// A surfel carries half of its linels and an equal share of its umbrellas.
+    Lumped,
+    /// DGtal's inclusion ratios, by the distances of the points of a cell.
+    Dgtal,
+}
+
+/// Which surfels of the ball count.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BallKind {
+    /// Those connected to the centre inside the ball.
+    Connected,
+    /// All: the paper's Borel set.
+    Whole,
+}
+
+/// Sums in the units of `Scale`.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Sums {
+    /// Corrected area.
+    pub mu0: f64,
+    /// Symmetric tensor, xx yy zz xy xz yz.
+    pub tensor: [f64; 6],
+    /// Corrected Gaussian curvature integral.
+    pub mu2: f64,
+}
+
+impl Sums {
+    /// *Twice* the integral of the mean curvature.
+    pub fn mu1(&self) -> f64 {
+        self.tensor[0] + self.tensor[1] + self.tensor[2]
+    }
+}
+
+/// The same sums, exact: integers times `UNIT`, `UNIT`, `MU2_UNIT`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct FixedSums {
+    /// Corrected area.
+    pub mu0: i64,
+    /// Symmetric tensor, xx yy zz xy xz yz.
+    pub tensor: [i64; 6],
+    /// Corrected Gaussian curvature integral.
+    pub mu2: i64,
+}
+
+impl From<FixedSums> for Sums {
+    fn from(fixed: FixedSums) -> Self {
+        // mu1 is the trace of the rounded tensor: i64 sums up to 2^53 are exact in f64.
+        Sums {
+            mu0: fixed.mu0 as f64 * UNIT,
+            tensor: fixed.tensor.map(|m| m as f64 * UNIT),
+            mu2: fixed.mu2 as f64 * MU2_UNIT,
+        }
+    }
+}
+
+/// The ball of a run and its rule of belonging.
+#[derive(Clone, Copy, Debug)]
+pub struct Ball {
+    lattice: LatticeBall,
+    /// Radius in the units of `Scale`, its square snapped to integers meant.
+    radius: f64,
+    scale: Scale,
+    weights: Weights,
+    reach: [i32; 3],
+}
+
+impl Ball {
+    /// The ball of `radius`, in the units of `scale`.
+    pub fn new(scale: &Scale, radius: f64, weights: Weights) -> Self {
+        let lattice = LatticeBall::on_khalimsky(scale, radius);
+        // DGtal counts a surfel if one of its points is in the ball: up to one more voxel.
+        let more = if weights == Weights::Dgtal { 2 } else { 0 };
+        Ball {
+            lattice,
+            radius: 0.5 * snapped(4.0 * radius * radius).sqrt(),
+            scale: *scale,
+            weights,
+            reach: ball_reach(&lattice).map(|reach| reach + more),
+        }
+    }
+
+    /// Bound of the members' distance from the centre along each axis, in Khalimsky coordinates.
+    pub fn reach(&self) -> [i32; 3] {
+        self.reach
+    }
+
+    /// Is surfel `g` in the ball around surfel `centre`?
+    pub fn has(&self, surface: &Surface, centre: u32, g: u32) -> bool {
+        match self.weights {
+            Weights::Sharp | Weights::Lumped => in_ball(surface, &self.lattice, centre, g),
+            Weights::Dgtal => self.surfel_share(surface, centre, g) > 0.0,
+        }
+    }
+
+    /// The sums over the members of `walk`, found around `centre`; the second, exact form
+    /// exists for weights that are not fractions.
+    pub fn sum(
+        &self,
+        surface: &Surface,
+        cells: &Cells,
+        walk: &Walk,
+        centre: u32,
+    ) -> (Sums, Option<FixedSums>) {
+        let fixed = match self.weights {
+            Weights::Sharp => sharp(surface, cells, walk),
+            Weights::Lumped => lumped(surface, cells, walk),
+            Weights::Dgtal => return (self.shares(surface, cells, walk, centre), None),
+        };
+        (fixed.into(), Some(fixed))
+    }
+
+    /// DGtal's sums. An edge or vertex of a counted face counts once, by its own share.
+    fn shares(&self, surface: &Surface, cells: &Cells, walk: &Walk, centre: u32) -> Sums {
+        let mut sums = Sums::default();
+        for &f in &walk.members {
+            let surfel = &surface.surfels[f as usize];
+            let share = self.surfel_share(surface, centre, f);
+            sums.mu0 += share * (cells.mu0[f as usize] as f64 * UNIT);
+            for side in 0..4 {
+                let g = surface.neighbours[f as usize][side];
+                if g == OPEN || g < f && walk.has(g) {
+                    continue;
+                }
+                let along = surfel.steps()[(side + 1) % 4];
+                let middle = surfel.linel(side);
+                let from_middle = |sign: i32| [0, 1, 2].map(|a| middle[a] + sign * along[a]);
+                let share = self.share(surface, centre, &[middle, from_middle(-1), from_middle(1)]);
+                let tensor = cells.tensor[surface.sheets_of[f as usize][side] as usize];
+                (0..6).for_each(|e| sums.tensor[e] += share * (tensor[e] as f64 * UNIT));
+            }
+            for corner in 0..4 {
+                let umbrella = surface.umbrellas_of[f as usize][corner];
+                let is_first = surface
+                    .umbrella(umbrella)
+                    .iter()
+                    .all(|&g| g >= f || !walk.has(g));
+                if is_first && self.distance(surface, centre, surfel.pointel(corner)) <= self.radius
+                {
+                    sums.mu2 += cells.mu2[umbrella as usize] as f64 * MU2_UNIT;
+                }
+            }
+        }
+        sums
+    }
+
+    fn surfel_share(&self, surface: &Surface, centre: u32, g: u32) -> f64 {
+        let g = &surface.surfels[g as usize];
+        self.share(
+            surface,
+            centre,
+            &[g.k, g.pointel(0), g.pointel(1), g.pointel(2), g.pointel(3)],
+        )
+    }
+
+    /// DGtal's inclusion ratio of a cell given some of its points.
+    fn share(&self, surface: &Surface, centre: u32, points: &[[i32; 3]]) -> f64 {
+        let mut nearest = f64::INFINITY;
+        let mut farthest = 0.0f64;
+        for &point in points {
+            let d = self.distance(surface, centre, point);
+            nearest = nearest.min(d);
+            farthest = farthest.max(d);
+        }
+        if farthest <= self.radius {
+            1.0
+        } else if self.radius <= nearest {
+            0.0
+        } else {
+            (self.radius - nearest) / (farthest - nearest)
+        }
+    }
+
+    /// Distance of a Khalimsky point from the centroid of surfel `centre`.
+    fn distance(&self, surface: &Surface, centre: u32, point: [i32; 3]) -> f64 {
+        let d = minus(point, surface.surfels[centre as usize].k);
+        let square: f64 = (0..3)
+            .map(|a| (f64::from(d[a]) * self.scale.edges[a]).powi(2))
+            .sum();
+        0.5 * square.sqrt()
+    }
+}
+
+fn sharp(surface: &Surface, cells: &Cells, walk: &Walk) -> FixedSums {
+    let mut sums = FixedSums::default();
+    for &f in &walk.members {
+        sums.mu0 += cells.mu0[f as usize];
+        for side in 0..4 {
+            // Both surfels see the linel: the first adds it.
+            let g = surface.neighbours[f as usize][side];
+            if g != OPEN && g > f && walk.has(g) {
+                add(
+                    &mut sums.tensor,
+                    cells.tensor[surface.sheets_of[f as usize][side] as usize],
+                );
+            }
+        }
+        for umbrella in surface.umbrellas_of[f as usize] {
+            // All surfels of the umbrella see the pointel: the first adds it.
+            if surface
+                .umbrella(umbrella)
+                .iter()
+                .all(|&g| g >= f && walk.has(g))
+            {
+                sums.mu2 += cells.mu2[umbrella as usize];
+            }
+        }
+    }
+    sums
+}
+
+fn lumped(surface: &Surface, cells: &Cells, walk: &Walk) -> FixedSums {
+    let mut sums = FixedSums::default();
+    for &f in &walk.members {
+        sums.mu0 += cells.mu0[f as usize];
+        for sheet in surface.sheets_of[f as usize] {
+            add(&mut sums.tensor, cells.half_tensor[sheet as usize]);
+        }
+        for umbrella in surface.umbrellas_of[f as usize] {
+            let degree = surface.umbrella(umbrella).len() as i64;
+            sums.mu2 += nearest_quotient(cells.mu2[umbrella as usize], degree);
+        }
+    }
+    sums
+}
+
+fn add(sum: &mut [i64; 6], tensor: [i64; 6]) {
+    (0..6).for_each(|e| sum[e] += tensor[e]);
+}
