@@ -49,6 +49,15 @@ const ACCEPTED_RESIDUAL: f64 = 1e-10;
 /// solid, much shorter ones only take time.
 const LONGEST_STEP: f64 = 0.1;
 
+/// Distance, as a part of half the longest edge of the box, up to which the gradient of F is trusted
+/// to lead to the closest point. Larger, it may lead elsewhere (deep inside Goursat the gradient
+/// vanishes); smaller, every surfel of a coarse digitisation pays for a search in all directions.
+const GRADIENT_LEADS: f64 = 0.1;
+
+/// Steps of a ray per half of the longest edge of the box: features of the shape thinner than a
+/// step are found by their gradient, or not at all.
+const RAY_STEPS: u32 = 64;
+
 /// Two unit tangents t1, t2 such that (t1, t2, n) is direct.
 fn tangents(n: DVec3) -> (DVec3, DVec3) {
     // The axis of the smallest component is at least 54 degrees from n.
@@ -221,25 +230,84 @@ fn newton(
     best.filter(|(_, residual)| *residual <= ACCEPTED_RESIDUAL * unit)
 }
 
+/// The nearest place where F changes sign on the 26 rays from `p` to the neighbours of a voxel.
+fn nearest_crossing(shape: &(impl ImplicitShape + ?Sized), p: DVec3, unit: f64) -> Option<DVec3> {
+    let inside = shape.value(p) <= 0.0;
+    let crossed = |q: DVec3| (shape.value(q) <= 0.0) != inside;
+    let mut nearest = 2.0 * unit;
+    let mut crossing = None;
+    for i in 0..27 {
+        let axes = DVec3::new(f64::from(i % 3), f64::from(i / 3 % 3), f64::from(i / 9));
+        let ray = axes - DVec3::ONE;
+        let length = ray.length();
+        if length == 0.0 {
+            continue;
+        }
+        let direction = ray / length;
+        let step = unit / f64::from(RAY_STEPS);
+        let mut t = 0.0;
+        while t < nearest {
+            if crossed(p + direction * (t + step)) {
+                let (mut lo, mut hi) = (t, t + step);
+                for _ in 0..40 {
+                    let middle = 0.5 * (lo + hi);
+                    if crossed(p + direction * middle) {
+                        hi = middle;
+                    } else {
+                        lo = middle;
+                    }
+                }
+                if hi < nearest {
+                    nearest = hi;
+                    crossing = Some(p + direction * hi);
+                }
+                break;
+            }
+            t += step;
+        }
+    }
+    crossing
+}
+
+/// The closest point that a start on the surface leads to, with its residual: by Newton, or after
+/// a descent. One further than the start would be the closest point of another place.
+fn settle(
+    shape: &(impl ImplicitShape + ?Sized),
+    p: DVec3,
+    start: DVec3,
+    unit: f64,
+) -> Option<(DVec3, f64)> {
+    let near_enough =
+        |(q, _): &(DVec3, f64)| q.distance(p) <= start.distance(p) * (1.0 + 1e-9) + 1e-6 * unit;
+    newton(shape, p, start, unit)
+        .filter(near_enough)
+        .or_else(|| newton(shape, p, descend(shape, p, start, unit), unit).filter(near_enough))
+}
+
 /// The point of the surface F = 0 closest to `p`, with its geometry.
 ///
-/// Newton's method on the Lagrange system of the distance, from where the gradient of F leads, until
-/// rounding stops it (a residual of some 1e-15 of half the longest edge of the shape's box). The
-/// residual is at most 1e-10 of that length (1e-9 for a box `[-10, 10]^3`), else there is no answer.
-/// The point returned is a strict local minimum of the distance; within the reach of the surface,
-/// where the surfels of any fine enough digitisation are, it is *the* closest point.
+/// Newton's method on the Lagrange system of the distance, from where the gradient of F leads (and,
+/// when that is far, from the nearest crossing on 26 rays), until rounding stops it: a residual of
+/// some 1e-15 of half the longest edge of the shape's box. The residual is at most 1e-10 of that
+/// length (1e-9 for a box `[-10, 10]^3`), else there is no answer. The point returned is a strict
+/// local minimum of the distance; within the reach of the surface, where the surfels of any fine
+/// enough digitisation are, it is *the* closest point.
 ///
 /// `None` when no such point is found: `p` too far, or as close to two places of the surface (the
 /// centre of a sphere).
 pub fn closest_point(shape: &(impl ImplicitShape + ?Sized), p: DVec3) -> Option<ClosestPoint> {
     let unit = shape.bounding_box().half_longest_edge();
-    let start = slide_to_surface(shape, p, unit)?;
-    // A solution further than the start is the closest point of another place.
-    let near_enough =
-        |(q, _): &(DVec3, f64)| q.distance(p) <= start.distance(p) * (1.0 + 1e-9) + 1e-6 * unit;
-    let (position, residual) = newton(shape, p, start, unit)
-        .filter(near_enough)
-        .or_else(|| newton(shape, p, descend(shape, p, start, unit), unit).filter(near_enough))?;
+    let by_gradient = slide_to_surface(shape, p, unit).and_then(|q| settle(shape, p, q, unit));
+    let (position, residual) = match by_gradient {
+        Some(found) if found.0.distance(p) <= GRADIENT_LEADS * unit => found,
+        found => {
+            let by_rays = nearest_crossing(shape, p, unit).and_then(|q| settle(shape, p, q, unit));
+            [found, by_rays]
+                .into_iter()
+                .flatten()
+                .min_by(|a, b| a.0.distance_squared(p).total_cmp(&b.0.distance_squared(p)))?
+        }
+    };
     let truth = truth_on_surface(shape, position)?;
     let distance = p.distance(position);
     Some(ClosestPoint {
