@@ -11,7 +11,7 @@ use crate::khalimsky::Adjacency;
 use crate::lattice::Lattice;
 use crate::measure::ball::{BallKernel, Extent, Weights};
 use crate::measure::cells::CellTotals;
-use crate::normal::{Estimator, NormalKernel};
+use crate::normal::{Estimator, NormalKernel, Orientation};
 use crate::sink::SurfelSink;
 use crate::volume::SolidCounts;
 
@@ -52,6 +52,27 @@ pub(super) struct Kernels {
 }
 
 impl Settings {
+    /// The default method on a lattice: integral invariant normals and connected, lumped sums at 3
+    /// voxel units, one radius, within 1 GiB, on all processors.
+    #[must_use]
+    pub fn new(lattice: Lattice) -> Self {
+        Self {
+            lattice,
+            adjacency: Adjacency::Interior,
+            estimator: Estimator::IntegralInvariant {
+                radius: 3.0,
+                orientation: Orientation::Moment,
+            },
+            radii: vec![3.0],
+            extent: Extent::Connected,
+            weights: Weights::Lumped,
+            directions: false,
+            threads: std::thread::available_parallelism().map_or(1, usize::from),
+            memory_bytes: 1 << 30,
+            brick: None,
+        }
+    }
+
     fn kernels(&self) -> Result<Kernels, Error> {
         let normals = NormalKernel::new(self.estimator, &self.lattice, self.adjacency)?;
         let balls = self

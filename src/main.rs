@@ -1,0 +1,3 @@
+//! The `curvox` binary.
+
+fn main() {}
