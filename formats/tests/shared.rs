@@ -1,0 +1,1 @@
+//! The shared folder: same volumes in many formats, broken files, real files.

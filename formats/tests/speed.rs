@@ -1,0 +1,1 @@
+//! Figures, not checks: run with `--release -- --ignored --nocapture speed`.
