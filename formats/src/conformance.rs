@@ -27,7 +27,10 @@ pub fn check(open: impl Fn() -> Result<Volume, Error>) -> Result<(), String> {
     let all = read_forward(first, u64::MAX)?;
     let expected = header.voxels_bytes().ok_or("the volume does not fit u64")?;
     if all.len() as u64 != expected {
-        return Err(format!("{} bytes of planes, {expected} expected", all.len()));
+        return Err(format!(
+            "{} bytes of planes, {expected} expected",
+            all.len()
+        ));
     }
     for count in [1, 2] {
         let again = open().map_err(failed)?;
@@ -35,7 +38,9 @@ pub fn check(open: impl Fn() -> Result<Volume, Error>) -> Result<(), String> {
             return Err("opened again, the header differs".into());
         }
         if read_forward(again, count)? != all {
-            return Err(format!("planes read {count} at a time differ from all at once"));
+            return Err(format!(
+                "planes read {count} at a time differ from all at once"
+            ));
         }
     }
     if let Voxels::Random(voxels) = open().map_err(failed)?.voxels {
@@ -54,9 +59,16 @@ fn check_header(header: &Header) -> Result<(), String> {
         return Err(format!("the spacing {spacing:?} is not positive"));
     }
     for axis in 0..3 {
-        let length: f64 = header.direction.iter().map(|row| row[axis] * row[axis]).sum();
+        let length: f64 = header
+            .direction
+            .iter()
+            .map(|row| row[axis] * row[axis])
+            .sum();
         if (length - 1.0).abs() > 1e-6 {
-            return Err(format!("the direction of axis {axis} has length {}", length.sqrt()));
+            return Err(format!(
+                "the direction of axis {axis} has length {}",
+                length.sqrt()
+            ));
         }
     }
     if !header.origin.iter().all(|x| x.is_finite()) {
@@ -72,7 +84,10 @@ fn check_header(header: &Header) -> Result<(), String> {
 
 fn read_forward(volume: Volume, count: u64) -> Result<Vec<u8>, String> {
     let failed = |e: Error| format!("planes: {e}");
-    let plane = volume.header.plane_bytes().ok_or("a plane does not fit u64")?;
+    let plane = volume
+        .header
+        .plane_bytes()
+        .ok_or("a plane does not fit u64")?;
     let mut voxels = volume.into_forward();
     let (mut all, mut some) = (Vec::new(), vec![1, 2, 3]);
     loop {
@@ -94,7 +109,9 @@ fn check_boxes(voxels: &dyn RandomVoxels, header: &Header, all: &[u8]) -> Result
     let regions = regions(dims);
     let check = |region: &Region| {
         let mut found = vec![7; 5];
-        voxels.read_box(region, &mut found).map_err(|e| format!("{region:?}: {e}"))?;
+        voxels
+            .read_box(region, &mut found)
+            .map_err(|e| format!("{region:?}: {e}"))?;
         if found != cut(all, dims, header.voxel.bytes(), region) {
             return Err(format!("{region:?}: the box differs from the planes"));
         }
@@ -105,8 +122,15 @@ fn check_boxes(voxels: &dyn RandomVoxels, header: &Header, all: &[u8]) -> Result
     }
 
     let plane = all.len() / dims[2] as usize;
-    for (z, count) in [(0, dims[2]), (0, 1), (dims[2] - 1, 1), (dims[2] / 2, dims[2] - dims[2] / 2)] {
-        let found = voxels.planes(z, count).map_err(|e| format!("planes {z}, {count}: {e}"))?;
+    for (z, count) in [
+        (0, dims[2]),
+        (0, 1),
+        (dims[2] - 1, 1),
+        (dims[2] / 2, dims[2] - dims[2] / 2),
+    ] {
+        let found = voxels
+            .planes(z, count)
+            .map_err(|e| format!("planes {z}, {count}: {e}"))?;
         let (from, to) = (z as usize * plane, (z + count) as usize * plane);
         if found.is_some_and(|found| found != &all[from..to]) {
             return Err(format!("planes {z}, {count}: not the bytes read forward"));
@@ -118,8 +142,16 @@ fn check_boxes(voxels: &dyn RandomVoxels, header: &Header, all: &[u8]) -> Result
 
     let mut out = Vec::new();
     for axis in 0..3 {
-        for (origin, size) in [(dims[axis], 1), (0, dims[axis] + 1), (u64::MAX, 1), (1, u64::MAX)] {
-            let mut region = Region { origin: [0; 3], size: [1; 3] };
+        for (origin, size) in [
+            (dims[axis], 1),
+            (0, dims[axis] + 1),
+            (u64::MAX, 1),
+            (1, u64::MAX),
+        ] {
+            let mut region = Region {
+                origin: [0; 3],
+                size: [1; 3],
+            };
             region.origin[axis] = origin;
             region.size[axis] = size;
             if voxels.read_box(&region, &mut out).is_ok() {
@@ -129,13 +161,16 @@ fn check_boxes(voxels: &dyn RandomVoxels, header: &Header, all: &[u8]) -> Result
     }
     for (z, count) in [(dims[2], 1), (0, dims[2] + 1), (u64::MAX, 1), (1, u64::MAX)] {
         if voxels.planes(z, count).is_ok() {
-            return Err(format!("planes {z}, {count}: beyond the extents, and no error"));
+            return Err(format!(
+                "planes {z}, {count}: beyond the extents, and no error"
+            ));
         }
     }
 
     let results: Vec<_> = std::thread::scope(|scope| {
-        let threads: Vec<_> =
-            (0..4).map(|_| scope.spawn(|| regions.iter().try_for_each(check))).collect();
+        let threads: Vec<_> = (0..4)
+            .map(|_| scope.spawn(|| regions.iter().try_for_each(check)))
+            .collect();
         threads.into_iter().map(|thread| thread.join()).collect()
     });
     for result in results {
@@ -153,11 +188,17 @@ fn regions(dims: [u64; 3]) -> Vec<Region> {
         }
         spans
     });
-    let mut regions = vec![Region { origin: [0; 3], size: [0; 3] }];
+    let mut regions = vec![Region {
+        origin: [0; 3],
+        size: [0; 3],
+    }];
     for &(x, sx) in &spans[0] {
         for &(y, sy) in &spans[1] {
             for &(z, sz) in &spans[2] {
-                regions.push(Region { origin: [x, y, z], size: [sx, sy, sz] });
+                regions.push(Region {
+                    origin: [x, y, z],
+                    size: [sx, sy, sz],
+                });
             }
         }
     }

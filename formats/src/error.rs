@@ -33,7 +33,13 @@ pub struct Error {
 impl Error {
     /// An error of the given kind about the input called `path`.
     pub fn new(kind: ErrorKind, path: impl Into<String>, message: impl Into<String>) -> Self {
-        Self { kind, path: path.into(), offset: None, message: message.into(), source: None }
+        Self {
+            kind,
+            path: path.into(),
+            offset: None,
+            message: message.into(),
+            source: None,
+        }
     }
 
     /// Something this crate does not read.

@@ -57,7 +57,10 @@ pub struct ParseError {
 
 impl ParseError {
     fn new(found: &str, expected: &'static str) -> Self {
-        Self { found: found.into(), expected }
+        Self {
+            found: found.into(),
+            expected,
+        }
     }
 }
 
@@ -72,7 +75,12 @@ impl FromStr for Format {
             "longvol" => Self::Longvol,
             "nii" | "nifti" | "nifti1" => Self::Nifti1,
             "nifti2" => Self::Nifti2,
-            _ => return Err(ParseError::new(s, "a format: raw, npy, vol, longvol, nifti1 or nifti2")),
+            _ => {
+                return Err(ParseError::new(
+                    s,
+                    "a format: raw, npy, vol, longvol, nifti1 or nifti2",
+                ));
+            }
         })
     }
 }
@@ -200,12 +208,18 @@ pub struct DType {
 impl DType {
     /// A little-endian type.
     pub fn little(voxel: VoxelType) -> Self {
-        Self { voxel, byte_order: ByteOrder::Little }
+        Self {
+            voxel,
+            byte_order: ByteOrder::Little,
+        }
     }
 
     /// A big-endian type.
     pub fn big(voxel: VoxelType) -> Self {
-        Self { voxel, byte_order: ByteOrder::Big }
+        Self {
+            voxel,
+            byte_order: ByteOrder::Big,
+        }
     }
 }
 
@@ -289,7 +303,11 @@ impl Unit {
 
 impl fmt::Display for Unit {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(if *self == Self::Unknown { "unknown" } else { self.symbol() })
+        f.write_str(if *self == Self::Unknown {
+            "unknown"
+        } else {
+            self.symbol()
+        })
     }
 }
 
@@ -325,7 +343,10 @@ pub struct Region {
 impl Region {
     /// The whole of a volume of the given extents.
     pub fn whole(dims: [u64; 3]) -> Self {
-        Self { origin: [0; 3], size: dims }
+        Self {
+            origin: [0; 3],
+            size: dims,
+        }
     }
 
     /// Number of voxels; `None` when it does not fit `u64`.
@@ -337,7 +358,9 @@ impl Region {
     /// region inside or on the border counts as inside.
     pub fn is_inside(&self, dims: [u64; 3]) -> bool {
         (0..3).all(|a| {
-            self.origin[a].checked_add(self.size[a]).is_some_and(|end| end <= dims[a])
+            self.origin[a]
+                .checked_add(self.size[a])
+                .is_some_and(|end| end <= dims[a])
         })
     }
 }
@@ -400,7 +423,10 @@ impl Header {
 
     /// Type and byte order of the voxels.
     pub fn dtype(&self) -> DType {
-        DType { voxel: self.voxel, byte_order: self.byte_order }
+        DType {
+            voxel: self.voxel,
+            byte_order: self.byte_order,
+        }
     }
 
     /// Bytes of one plane of constant z; `None` when it does not fit `u64`.
@@ -459,7 +485,10 @@ mod tests {
 
     #[test]
     fn a_region_that_overflows_is_not_inside() {
-        let region = Region { origin: [u64::MAX, 0, 0], size: [2, 1, 1] };
+        let region = Region {
+            origin: [u64::MAX, 0, 0],
+            size: [2, 1, 1],
+        };
         assert!(!region.is_inside([u64::MAX; 3]));
         assert!(Region::whole([3, 4, 5]).is_inside([3, 4, 5]));
     }

@@ -101,7 +101,13 @@ impl Input {
     }
 
     fn over(layer: Box<dyn Layer>) -> Self {
-        Self { layer, buffer: vec![0; BUFFER_BYTES], start: 0, end: 0, position: 0 }
+        Self {
+            layer,
+            buffer: vec![0; BUFFER_BYTES],
+            start: 0,
+            end: 0,
+            position: 0,
+        }
     }
 
     /// What the rest of this input decompresses to.
@@ -191,7 +197,9 @@ impl Input {
             if have == 0 {
                 break;
             }
-            let step = usize::try_from(count - done).unwrap_or(usize::MAX).min(have);
+            let step = usize::try_from(count - done)
+                .unwrap_or(usize::MAX)
+                .min(have);
             self.consume(step);
             done += step as u64;
         }
@@ -325,7 +333,11 @@ struct Members<M> {
 
 impl<M: Member> Members<M> {
     fn begin(input: Input) -> io::Result<Self> {
-        Ok(Self { member: Some(M::begin(input)?), rest: None, notes: Vec::new() })
+        Ok(Self {
+            member: Some(M::begin(input)?),
+            rest: None,
+            notes: Vec::new(),
+        })
     }
 }
 
@@ -339,7 +351,9 @@ impl<M: Member> Read for Members<M> {
             if n > 0 {
                 return Ok(n);
             }
-            let Some(member) = self.member.take() else { break };
+            let Some(member) = self.member.take() else {
+                break;
+            };
             let mut input = member.end();
             let head = input.peek(Compression::MAGIC_BYTES)?;
             if M::is_member(head) {
@@ -371,7 +385,10 @@ impl<M: Member> Layer for Members<M> {
 
 /// The error that a failed read of an [`Input`] is, `offset` bytes into it.
 pub(crate) fn read_error(name: &str, offset: u64, error: io::Error) -> Error {
-    if error.get_ref().is_some_and(|inner| inner.is::<SystemError>()) {
+    if error
+        .get_ref()
+        .is_some_and(|inner| inner.is::<SystemError>())
+    {
         return Error::io(name, "cannot be read", error).at(offset);
     }
     if error.kind() == io::ErrorKind::UnexpectedEof {

@@ -58,8 +58,6 @@ mod volume;
 pub mod write;
 
 pub use error::{Error, ErrorKind};
-pub use header::{
-    ByteOrder, DType, Format, Header, ParseError, Region, Scaling, Unit, VoxelType,
-};
+pub use header::{ByteOrder, DType, Format, Header, ParseError, Region, Scaling, Unit, VoxelType};
 pub use open::{IoMode, OpenOptions, RawLayout, open, open_stream};
 pub use volume::{ForwardVoxels, RandomVoxels, SourceInfo, Volume, Voxels};

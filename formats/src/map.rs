@@ -35,17 +35,26 @@ impl Fingerprint {
         };
         #[cfg(not(unix))]
         let identity = None;
-        Self { length: metadata.len(), modified: metadata.modified().ok(), identity }
+        Self {
+            length: metadata.len(),
+            modified: metadata.modified().ok(),
+            identity,
+        }
     }
 
     /// An error if the file is no longer what it was when the fingerprint was taken.
     pub(crate) fn check(&self, file: &File, path: &Path) -> Result<(), Error> {
         let name = || path.display().to_string();
-        let metadata =
-            file.metadata().map_err(|e| Error::io(name(), "cannot be examined again", e))?;
+        let metadata = file
+            .metadata()
+            .map_err(|e| Error::io(name(), "cannot be examined again", e))?;
         let now = Self::of(&metadata);
         if now.length != self.length {
-            let how = if now.length < self.length { "shrank" } else { "grew" };
+            let how = if now.length < self.length {
+                "shrank"
+            } else {
+                "grew"
+            };
             return Err(Error::invalid(
                 name(),
                 format!(
@@ -56,13 +65,19 @@ impl Fingerprint {
             .at(now.length.min(self.length)));
         }
         if now.modified != self.modified {
-            return Err(Error::invalid(name(), "the file was written to while it was being read"));
+            return Err(Error::invalid(
+                name(),
+                "the file was written to while it was being read",
+            ));
         }
         // A path that is gone is no reason to stop: the open file is still whole.
         if let Ok(metadata) = std::fs::metadata(path)
             && Self::of(&metadata).identity != self.identity
         {
-            return Err(Error::invalid(name(), "the file was replaced while it was being read"));
+            return Err(Error::invalid(
+                name(),
+                "the file was replaced while it was being read",
+            ));
         }
         Ok(())
     }
@@ -91,12 +106,20 @@ impl GuardedMap {
         // either into an error.
         let map = unsafe { Mmap::map(&file)? };
         if map.len() as u64 != fingerprint.length {
-            return Err(io::Error::other("the file changed while it was being opened"));
+            return Err(io::Error::other(
+                "the file changed while it was being opened",
+            ));
         }
         let Some(guard) = guard::Guard::new(map.as_ptr() as usize, map.len()) else {
             return Ok(None);
         };
-        Ok(Some(Self { guard, map, file, path: path.to_path_buf(), fingerprint }))
+        Ok(Some(Self {
+            guard,
+            map,
+            file,
+            path: path.to_path_buf(),
+            fingerprint,
+        }))
     }
 
     /// An error if the file changed since it was mapped, or if a page of it was missing.
@@ -299,7 +322,10 @@ mod guard {
             }
             let page = PAGE_BYTES.load(Ordering::Relaxed);
             // The last page of a map is mapped whole, so the guarded range ends on a page border.
-            let Some(bytes) = slot.bytes.load(Ordering::Relaxed).checked_next_multiple_of(page)
+            let Some(bytes) = slot
+                .bytes
+                .load(Ordering::Relaxed)
+                .checked_next_multiple_of(page)
             else {
                 continue;
             };
@@ -336,7 +362,9 @@ mod guard {
 
     /// Hands the signal to whoever had it before.
     fn forward(signal: libc::c_int, info: *mut libc::siginfo_t, context: *mut libc::c_void) {
-        let Some(previous) = PREVIOUS.get() else { return };
+        let Some(previous) = PREVIOUS.get() else {
+            return;
+        };
         let handler = previous.sa_sigaction;
         if handler == libc::SIG_DFL || handler == libc::SIG_IGN {
             // Give the signal its default action and return: the faulting instruction runs again
@@ -360,11 +388,8 @@ mod guard {
         // the kernel would have called it.
         unsafe {
             if previous.sa_flags & libc::SA_SIGINFO != 0 {
-                let function: extern "C" fn(
-                    libc::c_int,
-                    *mut libc::siginfo_t,
-                    *mut libc::c_void,
-                ) = std::mem::transmute(handler);
+                let function: extern "C" fn(libc::c_int, *mut libc::siginfo_t, *mut libc::c_void) =
+                    std::mem::transmute(handler);
                 function(signal, info, context);
             } else {
                 let function: extern "C" fn(libc::c_int) = std::mem::transmute(handler);

@@ -68,10 +68,18 @@ fn siblings(path: &Path, from: &str, to: &str) -> Option<Vec<PathBuf>> {
         }
         // As FOO.HDR lies beside FOO.IMG.
         let upper = extension.chars().all(|c| c.is_ascii_uppercase());
-        let to = if upper { to.to_ascii_uppercase() } else { to.to_string() };
+        let to = if upper {
+            to.to_ascii_uppercase()
+        } else {
+            to.to_string()
+        };
         let others = COMPRESSED.into_iter().filter(|other| *other != suffix);
         let suffixes = std::iter::once(suffix).chain(others);
-        Some(suffixes.map(|s| path.with_file_name(format!("{stem}.{to}{s}"))).collect())
+        Some(
+            suffixes
+                .map(|s| path.with_file_name(format!("{stem}.{to}{s}")))
+                .collect(),
+        )
     })
 }
 
@@ -139,7 +147,12 @@ impl Record<'_> {
 
     fn nifti1(&self) -> Fields {
         Fields {
-            magic: [self.bytes[344], self.bytes[345], self.bytes[346], self.bytes[347]],
+            magic: [
+                self.bytes[344],
+                self.bytes[345],
+                self.bytes[346],
+                self.bytes[347],
+            ],
             dim: std::array::from_fn(|i| i64::from(self.i16(40 + 2 * i))),
             datatype: self.i16(70),
             bitpix: self.i16(72),
@@ -182,7 +195,9 @@ impl Record<'_> {
 
 pub(crate) fn parse(input: &mut Input, context: &Context<'_>) -> Result<Parsed, Error> {
     let name = context.name;
-    let head = input.peek(4).map_err(|e| crate::input::read_error(name, 0, e))?;
+    let head = input
+        .peek(4)
+        .map_err(|e| crate::input::read_error(name, 0, e))?;
     let Some(format) = detect(head) else {
         return Err(Error::invalid(
             name,
@@ -190,27 +205,41 @@ pub(crate) fn parse(input: &mut Input, context: &Context<'_>) -> Result<Parsed, 
         )
         .at(0));
     };
-    let (size, magic_at) = if format == Format::Nifti1 { (SIZE_1, 344) } else { (SIZE_2, 4) };
+    let (size, magic_at) = if format == Format::Nifti1 {
+        (SIZE_1, 344)
+    } else {
+        (SIZE_2, 4)
+    };
     let order = if u32::from_le_bytes([head[0], head[1], head[2], head[3]]) == size as u32 {
         ByteOrder::Little
     } else {
         ByteOrder::Big
     };
     let bytes = context.header_bytes(input, size)?;
-    let record = Record { bytes: &bytes, order };
-    let fields = if format == Format::Nifti1 { record.nifti1() } else { record.nifti2() };
+    let record = Record {
+        bytes: &bytes,
+        order,
+    };
+    let fields = if format == Format::Nifti1 {
+        record.nifti1()
+    } else {
+        record.nifti2()
+    };
     let pair = match (&fields.magic, format) {
         (b"n+1\0", Format::Nifti1) | (b"n+2\0", Format::Nifti2) => false,
         (b"ni1\0", Format::Nifti1) | (b"ni2\0", Format::Nifti2) => true,
         ([0, 0, 0, 0], Format::Nifti1) => {
-            return Err(Error::unsupported(name, "an Analyze 7.5 header, which is not read")
-                .at(magic_at));
+            return Err(
+                Error::unsupported(name, "an Analyze 7.5 header, which is not read").at(magic_at),
+            );
         }
         (magic, _) => {
             return Err(Error::invalid(
                 name,
-                format!("the magic is \"{}\", \"n+1\" or \"ni1\" (NIfTI-2: \"n+2\", \"ni2\") expected",
-                    magic.escape_ascii()),
+                format!(
+                    "the magic is \"{}\", \"n+1\" or \"ni1\" (NIfTI-2: \"n+2\", \"ni2\") expected",
+                    magic.escape_ascii()
+                ),
             )
             .at(magic_at));
         }
@@ -218,22 +247,39 @@ pub(crate) fn parse(input: &mut Input, context: &Context<'_>) -> Result<Parsed, 
     if (3000..3100).contains(&fields.intent) {
         return Err(Error::unsupported(
             name,
-            format!("intent code {}: CIFTI, which is not a volume", fields.intent),
+            format!(
+                "intent code {}: CIFTI, which is not a volume",
+                fields.intent
+            ),
         ));
     }
 
     let voxel = voxel(&fields, format, name)?;
     let (dims, frames) = dims(&fields, format, name)?;
-    let mut header = Header::new(format, dims, DType { voxel, byte_order: order });
+    let mut header = Header::new(
+        format,
+        dims,
+        DType {
+            voxel,
+            byte_order: order,
+        },
+    );
     place(&fields, &mut header, name);
     header.scaling = scaling(&fields, &mut header.warnings, name);
 
     let offset = voxel_offset(&fields, format, pair, &mut header.warnings, name)?;
     let frame = frame(frames, context)?;
-    let skip = header.voxels_bytes().and_then(|bytes| bytes.checked_mul(frame));
-    let end = header.voxels_bytes().and_then(|bytes| bytes.checked_mul(frames));
+    let skip = header
+        .voxels_bytes()
+        .and_then(|bytes| bytes.checked_mul(frame));
+    let end = header
+        .voxels_bytes()
+        .and_then(|bytes| bytes.checked_mul(frames));
     let (Some(offset), Some(_)) = (skip.and_then(|skip| skip.checked_add(offset)), end) else {
-        return Err(Error::invalid(name, format!("{frames} frames of {dims:?} voxels do not fit any file")));
+        return Err(Error::invalid(
+            name,
+            format!("{frames} frames of {dims:?} voxels do not fit any file"),
+        ));
     };
     let mut parsed = Parsed::new(header, offset);
     parsed.frames_behind = frames - 1 - frame;
@@ -274,16 +320,21 @@ fn voxel(fields: &Fields, format: Format, name: &str) -> Result<VoxelType, Error
     };
     if !refused.is_empty() {
         let code = fields.datatype;
-        return Err(
-            Error::unsupported(name, format!("datatype is {code}: {refused} are not read")).at(at)
-        );
+        return Err(Error::unsupported(
+            name,
+            format!("datatype is {code}: {refused} are not read"),
+        )
+        .at(at));
     }
     let bits = voxel.bytes() * 8;
     // Zero is what writers leave that do not know the field.
     if fields.bitpix != 0 && usize::try_from(fields.bitpix) != Ok(bits) {
         return Err(Error::invalid(
             name,
-            format!("bitpix is {}, but datatype {} has {bits} bits", fields.bitpix, fields.datatype),
+            format!(
+                "bitpix is {}, but datatype {} has {bits} bits",
+                fields.bitpix, fields.datatype
+            ),
         )
         .at(at + 2));
     }
@@ -351,7 +402,11 @@ fn voxel_offset(
     warnings: &mut Vec<String>,
     name: &str,
 ) -> Result<u64, Error> {
-    let (first, at) = if format == Format::Nifti1 { (352, 108) } else { (544, 168) };
+    let (first, at) = if format == Format::Nifti1 {
+        (352, 108)
+    } else {
+        (544, 168)
+    };
     let offset = fields.vox_offset;
     // Beyond 2^53 a float no longer counts bytes.
     if !(0.0..=9.0e15).contains(&offset) || offset.fract() != 0.0 {
@@ -367,7 +422,9 @@ fn voxel_offset(
         return Ok(offset);
     }
     if offset == 0 {
-        warnings.push(format!("{name}: vox_offset is 0; voxels are read from byte {first}"));
+        warnings.push(format!(
+            "{name}: vox_offset is 0; voxels are read from byte {first}"
+        ));
         return Ok(first);
     }
     Err(Error::invalid(
@@ -454,16 +511,20 @@ fn sform(fields: &Fields, header: &mut Header, name: &str) -> bool {
         })
         .sum::<f64>();
     if triple.abs() < 1e-6 {
-        header.warnings.push(format!("{name}: the sform is singular; it is ignored"));
+        header
+            .warnings
+            .push(format!("{name}: the sform is singular; it is ignored"));
         return false;
     }
-    if [dot(0, 1), dot(1, 2), dot(2, 0)].iter().any(|d| d.abs() > ROUNDING) {
+    if [dot(0, 1), dot(1, 2), dot(2, 0)]
+        .iter()
+        .any(|d| d.abs() > ROUNDING)
+    {
         header.warnings.push(format!(
             "{name}: the axes of the sform are not orthogonal (sheared); voxels are taken as \
              boxes of the size in pixdim"
         ));
-    }
-    if let Some(spacing) = header.spacing
+    } else if let Some(spacing) = header.spacing
         && (0..3).any(|a| (lengths[a] - spacing[a]).abs() > ROUNDING * spacing[a])
     {
         header.warnings.push(format!(
@@ -481,18 +542,35 @@ fn qform(fields: &Fields, header: &mut Header, name: &str) {
     let [b, c, d] = fields.quaternion;
     let square = b * b + c * c + d * d;
     if !square.is_finite() || !fields.qoffset.iter().all(|x| x.is_finite()) {
-        header.warnings.push(format!("{name}: the qform is not finite; it is ignored"));
+        header
+            .warnings
+            .push(format!("{name}: the qform is not finite; it is ignored"));
         return;
     }
     // Rounding can bring the sum slightly above 1: then the rotation is by 180 degrees.
-    let (a, scale) =
-        if square > 1.0 { (0.0, 1.0 / square.sqrt()) } else { ((1.0 - square).sqrt(), 1.0) };
+    let (a, scale) = if square > 1.0 {
+        (0.0, 1.0 / square.sqrt())
+    } else {
+        ((1.0 - square).sqrt(), 1.0)
+    };
     let (b, c, d) = (b * scale, c * scale, d * scale);
     let flip = if fields.pixdim[0] < 0.0 { -1.0 } else { 1.0 };
     let rotation = [
-        [a * a + b * b - c * c - d * d, 2.0 * (b * c - a * d), 2.0 * (b * d + a * c)],
-        [2.0 * (b * c + a * d), a * a + c * c - b * b - d * d, 2.0 * (c * d - a * b)],
-        [2.0 * (b * d - a * c), 2.0 * (c * d + a * b), a * a + d * d - b * b - c * c],
+        [
+            a * a + b * b - c * c - d * d,
+            2.0 * (b * c - a * d),
+            2.0 * (b * d + a * c),
+        ],
+        [
+            2.0 * (b * c + a * d),
+            a * a + c * c - b * b - d * d,
+            2.0 * (c * d - a * b),
+        ],
+        [
+            2.0 * (b * d - a * c),
+            2.0 * (c * d + a * b),
+            a * a + d * d - b * b - c * c,
+        ],
     ];
     debug_assert_eq!(header.direction, IDENTITY);
     header.direction = rotation.map(|[x, y, z]| [x, y, z * flip]);

@@ -59,8 +59,11 @@ pub(crate) fn parse(input: &mut Input, context: &Context<'_>) -> Result<Parsed, 
     let text = String::from_utf8(text)
         .map_err(|_| invalid("the header is neither ASCII nor UTF-8".into()))?;
     let dict = literal::parse(&text).map_err(|(at, message)| {
-        Error::invalid(name, format!("the header is not a plain literal: {message}"))
-            .at(start + at as u64)
+        Error::invalid(
+            name,
+            format!("the header is not a plain literal: {message}"),
+        )
+        .at(start + at as u64)
     })?;
 
     let Literal::Dict(entries) = dict else {
@@ -83,7 +86,11 @@ pub(crate) fn parse(input: &mut Input, context: &Context<'_>) -> Result<Parsed, 
     let order = match fortran.ok_or_else(|| missing("fortran_order"))? {
         Literal::Bool(false) => AxisOrder::XFastest,
         Literal::Bool(true) => AxisOrder::ZFastest,
-        other => return Err(invalid(format!("fortran_order is {other}, True or False expected"))),
+        other => {
+            return Err(invalid(format!(
+                "fortran_order is {other}, True or False expected"
+            )));
+        }
     };
     let dims = dims(&shape.ok_or_else(|| missing("shape"))?, name, start)?;
 
@@ -98,11 +105,13 @@ fn dtype(descr: &Literal, name: &str, start: u64) -> Result<DType, Error> {
     let text = match descr {
         Literal::Text(text) => text,
         Literal::List(_) | Literal::Tuple(_) => {
-            return Err(unsupported("a structured dtype; one number a voxel is expected".into()));
+            return Err(unsupported(
+                "a structured dtype; one number a voxel is expected".into(),
+            ));
         }
         other => {
             return Err(
-                Error::invalid(name, format!("descr is {other}, a dtype was expected")).at(start)
+                Error::invalid(name, format!("descr is {other}, a dtype was expected")).at(start),
             );
         }
     };
@@ -113,7 +122,11 @@ fn dtype(descr: &Literal, name: &str, start: u64) -> Result<DType, Error> {
         [] => return Err(Error::invalid(name, "descr is empty").at(start)),
     };
     match kind {
-        b'c' => return Err(unsupported(format!("complex voxels (dtype '{text}') are not read"))),
+        b'c' => {
+            return Err(unsupported(format!(
+                "complex voxels (dtype '{text}') are not read"
+            )));
+        }
         b'O' => {
             return Err(unsupported(format!(
                 "Python objects (dtype '{text}') are not read, and never unpickled"
@@ -125,9 +138,13 @@ fn dtype(descr: &Literal, name: &str, start: u64) -> Result<DType, Error> {
         _ => {}
     }
     let size = std::str::from_utf8(size).ok().and_then(|s| s.parse().ok());
-    let voxel = size.and_then(|size| voxel_type(kind, size)).ok_or_else(|| {
-        unsupported(format!("dtype '{text}' is not read; b1, i1..i8, u1..u8 and f2..f8 are"))
-    })?;
+    let voxel = size
+        .and_then(|size| voxel_type(kind, size))
+        .ok_or_else(|| {
+            unsupported(format!(
+                "dtype '{text}' is not read; b1, i1..i8, u1..u8 and f2..f8 are"
+            ))
+        })?;
     let byte_order = match order {
         _ if voxel.bytes() == 1 => ByteOrder::Little,
         Some(b'<') => ByteOrder::Little,
@@ -152,7 +169,9 @@ fn dims(shape: &Literal, name: &str, start: u64) -> Result<[u64; 3], Error> {
     let mut sizes = Vec::new();
     for axis in axes {
         let Literal::Int(size) = axis else {
-            return Err(invalid(format!("shape is {shape}, whole numbers were expected")));
+            return Err(invalid(format!(
+                "shape is {shape}, whole numbers were expected"
+            )));
         };
         sizes.push(
             u64::try_from(*size)
@@ -160,9 +179,9 @@ fn dims(shape: &Literal, name: &str, start: u64) -> Result<[u64; 3], Error> {
         );
     }
     match sizes[..] {
-        [0, _, _] | [_, 0, _] | [_, _, 0] => {
-            Err(invalid(format!("shape is {shape}: an axis of size 0 holds no voxels")))
-        }
+        [0, _, _] | [_, 0, _] | [_, _, 0] => Err(invalid(format!(
+            "shape is {shape}: an axis of size 0 holds no voxels"
+        ))),
         [z, y, x] => Ok([x, y, z]),
         _ => {
             let hint = match sizes[..] {
@@ -172,7 +191,10 @@ fn dims(shape: &Literal, name: &str, start: u64) -> Result<[u64; 3], Error> {
             };
             Err(Error::unsupported(
                 name,
-                format!("shape is {shape}: {} axes found, (z, y, x) expected{hint}", sizes.len()),
+                format!(
+                    "shape is {shape}: {} axes found, (z, y, x) expected{hint}",
+                    sizes.len()
+                ),
             )
             .at(start))
         }

@@ -121,7 +121,9 @@ impl Context<'_> {
     pub(crate) fn header_bytes(&self, input: &mut Input, count: usize) -> Result<Vec<u8>, Error> {
         let start = input.position();
         let mut bytes = Vec::new();
-        input.append(count as u64, &mut bytes).map_err(|e| self.read_error(input, e))?;
+        input
+            .append(count as u64, &mut bytes)
+            .map_err(|e| self.read_error(input, e))?;
         if bytes.len() < count {
             return Err(Error::invalid(
                 self.name,
@@ -152,7 +154,10 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<Volume, Error> {
     let cannot_open = |e| Error::io(&name, "cannot be opened", e);
     let metadata = std::fs::metadata(path).map_err(cannot_open)?;
     if metadata.is_dir() {
-        return Err(Error::unsupported(&name, "is a folder; a file was expected"));
+        return Err(Error::unsupported(
+            &name,
+            "is a folder; a file was expected",
+        ));
     }
     let file = File::open(path).map_err(cannot_open)?;
     if !metadata.is_file() {
@@ -161,14 +166,26 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<Volume, Error> {
     if let Some(header) = nifti::header_of_image(path) {
         return open(&header, options);
     }
-    let place = Place { name: &name, path, options };
+    let place = Place {
+        name: &name,
+        path,
+        options,
+    };
     let (mut input, compression, length) = place.begin(&file, raw_bytes(options))?;
     let plain_length = compression.is_none().then_some(length);
-    let context = Context { name: &name, path: Some(path), options, length: plain_length };
+    let context = Context {
+        name: &name,
+        path: Some(path),
+        options,
+        length: plain_length,
+    };
     let mut parsed = parse(&mut input, &context)?;
     check_extents(&parsed.header, &name)?;
     if compression.is_none() && has_extension(path, &["gz", "zst"]) {
-        parsed.header.warnings.push(format!("{name}: named as compressed, but it is not"));
+        parsed
+            .header
+            .warnings
+            .push(format!("{name}: named as compressed, but it is not"));
     }
     if !parsed.elsewhere.is_empty() {
         return place.open_sibling(parsed);
@@ -188,7 +205,12 @@ pub fn open_stream(
 ) -> Result<Volume, Error> {
     let input = Input::new(reader);
     let (mut input, compression) = decompress(input, name)?;
-    let context = Context { name, path: None, options, length: None };
+    let context = Context {
+        name,
+        path: None,
+        options,
+        length: None,
+    };
     let parsed = parse(&mut input, &context)?;
     check_extents(&parsed.header, name)?;
     if !parsed.elsewhere.is_empty() {
@@ -236,17 +258,31 @@ impl Place<'_> {
     /// Opens the voxels of a header that keeps them in another file.
     fn open_sibling(&self, parsed: Parsed) -> Result<Volume, Error> {
         let Some(path) = parsed.elsewhere.iter().find(|p| p.is_file()) else {
-            let tried: Vec<_> = parsed.elsewhere.iter().map(|p| p.display().to_string()).collect();
+            let tried: Vec<_> = parsed
+                .elsewhere
+                .iter()
+                .map(|p| p.display().to_string())
+                .collect();
             return Err(Error::invalid(
                 self.name,
-                format!("the voxels are in another file, which is missing: {}", tried.join(", ")),
+                format!(
+                    "the voxels are in another file, which is missing: {}",
+                    tried.join(", ")
+                ),
             ));
         };
         let path = path.clone();
         let name = path.display().to_string();
-        let place = Place { name: &name, path: &path, options: self.options };
+        let place = Place {
+            name: &name,
+            path: &path,
+            options: self.options,
+        };
         let file = File::open(&path).map_err(|e| Error::io(&name, "cannot be opened", e))?;
-        let plain = parsed.header.voxels_bytes().and_then(|n| n.checked_add(parsed.offset));
+        let plain = parsed
+            .header
+            .voxels_bytes()
+            .and_then(|n| n.checked_add(parsed.offset));
         let (input, compression, length) = place.begin(&file, plain)?;
         place.finish(parsed, file, input, compression, length)
     }
@@ -276,22 +312,40 @@ impl Place<'_> {
             return forward(parsed, input, self.name, self.options, source);
         }
         drop(input);
-        let Parsed { mut header, offset, order, frames_behind, .. } = parsed;
+        let Parsed {
+            mut header,
+            offset,
+            order,
+            frames_behind,
+            ..
+        } = parsed;
         let bytes = header.voxels_bytes().unwrap_or(u64::MAX);
         let available = length.saturating_sub(offset);
         if available < bytes {
             let plane = header.plane_bytes().unwrap_or(u64::MAX);
-            return Err(ends_early(self.name, length.min(offset), available, bytes, plane));
+            return Err(ends_early(
+                self.name,
+                length.min(offset),
+                available,
+                bytes,
+                plane,
+            ));
         }
         // Checked by the format: all frames together fit `u64`.
         let used = bytes.saturating_mul(frames_behind.saturating_add(1));
         if available > used {
-            header.warnings.push(trailing(self.name, offset + used, available - used));
+            header
+                .warnings
+                .push(trailing(self.name, offset + used, available - used));
         }
         let bytes = self.reach(file)?;
         source.mapped = matches!(bytes, Bytes::Map(_));
         let voxels = StoredVoxels::new(bytes, self.name, offset, &header, order);
-        Ok(Volume { header, voxels: Voxels::Random(Box::new(voxels)), source })
+        Ok(Volume {
+            header,
+            voxels: Voxels::Random(Box::new(voxels)),
+            source,
+        })
     }
 
     /// The bytes of the file, mapped or to be read.
@@ -303,13 +357,16 @@ impl Place<'_> {
             IoMode::Auto => !is_remote(&file),
         };
         // Address space can be short (32 bits) and guards can run out: then read.
-        if map && let Ok(Some(map)) =
-            GuardedMap::new(file.try_clone().map_err(failed)?, self.path)
+        if map && let Ok(Some(map)) = GuardedMap::new(file.try_clone().map_err(failed)?, self.path)
         {
             return Ok(Bytes::Map(map));
         }
         let fingerprint = Fingerprint::of(&file.metadata().map_err(failed)?);
-        Ok(Bytes::File { file, path: self.path.to_path_buf(), fingerprint })
+        Ok(Bytes::File {
+            file,
+            path: self.path.to_path_buf(),
+            fingerprint,
+        })
     }
 
     /// Refuses a volume that its compressed bytes cannot possibly hold.
@@ -339,12 +396,15 @@ impl Place<'_> {
 
     /// Decides between four and eight bytes a voxel by counting what the file holds.
     fn count_voxel_bytes(&self, parsed: &mut Parsed) -> Result<(), Error> {
-        let file = File::open(self.path).map_err(|e| Error::io(self.name, "cannot be opened", e))?;
+        let file =
+            File::open(self.path).map_err(|e| Error::io(self.name, "cannot be opened", e))?;
         let (mut input, _) = decompress(Input::new(file), self.name)?;
         let failed = |input: &Input, e| read_error(self.name, input.position(), e);
         input.skip(parsed.offset).map_err(|e| failed(&input, e))?;
         if parsed.zlib {
-            input = input.zlib().map_err(|e| read_error(self.name, parsed.offset, e))?;
+            input = input
+                .zlib()
+                .map_err(|e| read_error(self.name, parsed.offset, e))?;
         }
         let eight = voxel_count(parsed.header.dims).and_then(|n| n.checked_mul(8));
         let Some(eight) = eight else { return Ok(()) };
@@ -365,9 +425,19 @@ fn forward(
     options: &OpenOptions,
     source: SourceInfo,
 ) -> Result<Volume, Error> {
-    let Parsed { mut header, offset, order, zlib, maybe_eight_bytes, frames_behind, .. } = parsed;
+    let Parsed {
+        mut header,
+        offset,
+        order,
+        zlib,
+        maybe_eight_bytes,
+        frames_behind,
+        ..
+    } = parsed;
     let skip = offset.saturating_sub(input.position());
-    let skipped = input.skip(skip).map_err(|e| read_error(name, input.position(), e))?;
+    let skipped = input
+        .skip(skip)
+        .map_err(|e| read_error(name, input.position(), e))?;
     if skipped < skip {
         return Err(Error::invalid(
             name,
@@ -384,7 +454,11 @@ fn forward(
     }
     if order == AxisOrder::XFastest && !maybe_eight_bytes {
         let voxels = StreamVoxels::new(input, name, &header, frames_behind);
-        return Ok(Volume { header, voxels: Voxels::Forward(Box::new(voxels)), source });
+        return Ok(Volume {
+            header,
+            voxels: Voxels::Forward(Box::new(voxels)),
+            source,
+        });
     }
 
     let why = if maybe_eight_bytes {
@@ -407,7 +481,9 @@ fn forward(
         ));
     }
     let mut held = Vec::new();
-    input.append(bytes, &mut held).map_err(|e| read_error(name, input.position(), e))?;
+    input
+        .append(bytes, &mut held)
+        .map_err(|e| read_error(name, input.position(), e))?;
     let found = held.len() as u64;
     if maybe_eight_bytes && found == bytes {
         vol::take_eight_bytes(&mut header, name);
@@ -418,9 +494,15 @@ fn forward(
         return Err(ends_early(name, input.position(), found, bytes, plane));
     }
     held.truncate(usize::try_from(bytes).unwrap_or(usize::MAX));
-    header.warnings.extend(look_behind(&mut input, name, found - bytes, bytes, 0)?);
+    header
+        .warnings
+        .extend(look_behind(&mut input, name, found - bytes, bytes, 0)?);
     let voxels = StoredVoxels::new(Bytes::Memory(held), name, 0, &header, order);
-    Ok(Volume { header, voxels: Voxels::Random(Box::new(voxels)), source })
+    Ok(Volume {
+        header,
+        voxels: Voxels::Random(Box::new(voxels)),
+        source,
+    })
 }
 
 /// Undoes one compression, if there is one.
@@ -430,11 +512,16 @@ fn decompress(mut input: Input, name: &str) -> Result<(Input, Option<Compression
     if head.is_empty() {
         return Err(Error::invalid(name, "is empty: 0 bytes"));
     }
-    let Some(compression) = Compression::detect(head) else { return Ok((input, None)) };
+    let Some(compression) = Compression::detect(head) else {
+        return Ok((input, None));
+    };
     let mut input = input.decompressed(compression).map_err(failed)?;
     let head = input.peek(Compression::MAGIC_BYTES).map_err(failed)?;
     if head.is_empty() {
-        return Err(Error::invalid(name, format!("the {} data is empty", compression.name())));
+        return Err(Error::invalid(
+            name,
+            format!("the {} data is empty", compression.name()),
+        ));
     }
     Ok((input, Some(compression)))
 }
@@ -442,7 +529,9 @@ fn decompress(mut input: Input, name: &str) -> Result<(Input, Option<Compression
 /// Bytes of a plain file with the layout the caller gave.
 fn raw_bytes(options: &OpenOptions) -> Option<u64> {
     let raw = options.raw?;
-    voxel_count(raw.dims)?.checked_mul(raw.dtype.voxel.bytes() as u64)?.checked_add(raw.skip)
+    voxel_count(raw.dims)?
+        .checked_mul(raw.dtype.voxel.bytes() as u64)?
+        .checked_add(raw.skip)
 }
 
 /// Reads the header: of the format asked for, of a raw layout if given, else of what is found.
@@ -528,7 +617,9 @@ const OTHER_FORMATS: [(usize, &[u8], &str); 22] = [
 fn detect(input: &mut Input, context: &Context<'_>) -> Result<Format, Error> {
     /// Enough for every magic number, and for the first lines of a text header.
     const HEAD_BYTES: usize = 1024;
-    let head = input.peek(HEAD_BYTES).map_err(|e| read_error(context.name, 0, e))?;
+    let head = input
+        .peek(HEAD_BYTES)
+        .map_err(|e| read_error(context.name, 0, e))?;
     if head.starts_with(npy::MAGIC) {
         return Ok(Format::Npy);
     }
@@ -577,7 +668,10 @@ fn check_extents(header: &Header, name: &str) -> Result<(), Error> {
     if header.voxels_bytes().is_none_or(|bytes| bytes > MOST_BYTES) {
         return Err(Error::invalid(
             name,
-            format!("{x} x {y} x {z} voxels of {} do not fit any file", header.voxel),
+            format!(
+                "{x} x {y} x {z} voxels of {} do not fit any file",
+                header.voxel
+            ),
         ));
     }
     Ok(())
@@ -595,8 +689,16 @@ fn is_remote(file: &File) -> bool {
     use std::os::fd::AsRawFd;
     /// Magic numbers of statfs(2): NFS, SMB, CIFS, SMB2, FUSE, Lustre, 9P, AFS, Ceph, GPFS.
     const REMOTE: [u32; 10] = [
-        0x6969, 0x517b, 0xff53_4d42, 0xfe53_4d42, 0x6573_5546, 0x0bd0_0bd0, 0x0102_1997,
-        0x5346_414f, 0x00c3_6400, 0x4750_4653,
+        0x6969,
+        0x517b,
+        0xff53_4d42,
+        0xfe53_4d42,
+        0x6573_5546,
+        0x0bd0_0bd0,
+        0x0102_1997,
+        0x5346_414f,
+        0x00c3_6400,
+        0x4750_4653,
     ];
     // SAFETY: statfs is a plain C struct for which all zeros is valid; fstatfs fills it for an
     // open descriptor.

@@ -28,7 +28,11 @@ pub(crate) enum AxisOrder {
 #[derive(Debug)]
 pub(crate) enum Bytes {
     Map(GuardedMap),
-    File { file: File, path: PathBuf, fingerprint: Fingerprint },
+    File {
+        file: File,
+        path: PathBuf,
+        fingerprint: Fingerprint,
+    },
     Memory(Vec<u8>),
 }
 
@@ -90,7 +94,9 @@ impl StoredVoxels {
         let range = usize::try_from(start).ok().zip(usize::try_from(count).ok());
         let slice = range.and_then(|(start, count)| all.get(start..start.checked_add(count)?));
         // Reached only if the caller of `new` did not check the length.
-        slice.map(Some).ok_or_else(|| Error::invalid(&self.name, "the data ends early").at(start))
+        slice
+            .map(Some)
+            .ok_or_else(|| Error::invalid(&self.name, "the data ends early").at(start))
     }
 
     /// Fills `out` from the bytes at `start`.
@@ -118,7 +124,9 @@ impl StoredVoxels {
         } else {
             (nx * ny * region.size[2], 1, 1)
         };
-        let Ok(run_bytes) = usize::try_from(run * voxel) else { return Ok(()) };
+        let Ok(run_bytes) = usize::try_from(run * voxel) else {
+            return Ok(());
+        };
         let mut runs = out.chunks_exact_mut(run_bytes.max(1));
         for k in 0..runs_z {
             for j in 0..runs_y {
@@ -200,7 +208,8 @@ impl RandomVoxels for StoredVoxels {
             .ok_or_else(too_large)?;
         // Not cleared first: a buffer of the same size is then not written twice.
         out.truncate(bytes);
-        out.try_reserve_exact(bytes - out.len()).map_err(|_| too_large())?;
+        out.try_reserve_exact(bytes - out.len())
+            .map_err(|_| too_large())?;
         out.resize(bytes, 0);
         if bytes == 0 {
             return Ok(());
@@ -214,7 +223,10 @@ impl RandomVoxels for StoredVoxels {
 
     fn planes(&self, z: u64, count: u64) -> Result<Option<&[u8]>, Error> {
         let [nx, ny, _] = self.dims;
-        self.check_region(&Region { origin: [0, 0, z], size: [nx, ny, count] })?;
+        self.check_region(&Region {
+            origin: [0, 0, z],
+            size: [nx, ny, count],
+        })?;
         if self.order != AxisOrder::XFastest {
             return Ok(None);
         }
@@ -226,7 +238,11 @@ impl RandomVoxels for StoredVoxels {
     fn check(&self) -> Result<(), Error> {
         match &self.bytes {
             Bytes::Map(map) => map.check(),
-            Bytes::File { file, path, fingerprint } => fingerprint.check(file, path),
+            Bytes::File {
+                file,
+                path,
+                fingerprint,
+            } => fingerprint.check(file, path),
             Bytes::Memory(_) => Ok(()),
         }
     }

@@ -51,7 +51,13 @@ impl ForwardVoxels for StreamVoxels {
         if found < wanted {
             let total = self.planes.saturating_mul(self.plane_bytes);
             let have = self.done * self.plane_bytes + found;
-            return Err(ends_early(&self.name, self.input.position(), have, total, self.plane_bytes));
+            return Err(ends_early(
+                &self.name,
+                self.input.position(),
+                have,
+                total,
+                self.plane_bytes,
+            ));
         }
         self.done += count;
         Ok(count)
@@ -82,7 +88,9 @@ pub(crate) fn look_behind(
     const AT_LEAST_BYTES: u64 = 64 << 20;
     let end = input.position() - read;
     let most = AT_LEAST_BYTES.max(volume_bytes);
-    let skipped = input.skip(most).map_err(|e| read_error(name, input.position(), e))?;
+    let skipped = input
+        .skip(most)
+        .map_err(|e| read_error(name, input.position(), e))?;
     let mut warnings = Vec::new();
     let behind = read + skipped;
     if skipped == most {
@@ -93,7 +101,12 @@ pub(crate) fn look_behind(
     } else if behind > frames {
         warnings.push(trailing(name, end + frames, behind - frames));
     }
-    warnings.extend(input.notes().into_iter().map(|note| format!("{name}: {note}")));
+    warnings.extend(
+        input
+            .notes()
+            .into_iter()
+            .map(|note| format!("{name}: {note}")),
+    );
     Ok(warnings)
 }
 

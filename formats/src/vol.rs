@@ -38,7 +38,9 @@ const KEYS: [&str; 14] = [
 /// Whether `head` begins like one of these files; which of the two is decided by `parse`.
 pub(crate) fn detect(head: &[u8]) -> Option<Format> {
     let colon = head.iter().take(32).position(|b| *b == b':')?;
-    KEYS.iter().any(|key| key.as_bytes() == &head[..colon]).then_some(Format::Vol)
+    KEYS.iter()
+        .any(|key| key.as_bytes() == &head[..colon])
+        .then_some(Format::Vol)
 }
 
 /// Longest line and most lines of a header; DGtal stops at 128 bytes and 64 lines.
@@ -48,10 +50,18 @@ const MOST_LINES: usize = 256;
 pub(crate) fn parse(input: &mut Input, context: &Context<'_>) -> Result<Parsed, Error> {
     let name = context.name;
     let fields = Fields::read(input, context)?;
-    let dims = [fields.extent("X", name)?, fields.extent("Y", name)?, fields.extent("Z", name)?];
+    let dims = [
+        fields.extent("X", name)?,
+        fields.extent("Y", name)?,
+        fields.extent("Z", name)?,
+    ];
     let version = fields.number("Version", name)?;
     let (format, voxel_bytes, size_at) = match fields.find("Lvoxel-Size") {
-        Some(field) => (Format::Longvol, fields.number("Lvoxel-Size", name)?, field.at),
+        Some(field) => (
+            Format::Longvol,
+            fields.number("Lvoxel-Size", name)?,
+            field.at,
+        ),
         None => {
             let at = fields.find("Voxel-Size").map_or(0, |field| field.at);
             (Format::Vol, fields.number("Voxel-Size", name)?, at)
@@ -90,10 +100,18 @@ pub(crate) fn parse(input: &mut Input, context: &Context<'_>) -> Result<Parsed, 
             .at(at));
         }
     };
-    let mut header =
-        Header::new(format, dims, DType { voxel, byte_order: ByteOrder::Little });
+    let mut header = Header::new(
+        format,
+        dims,
+        DType {
+            voxel,
+            byte_order: ByteOrder::Little,
+        },
+    );
     if fields.find("Voxel-Size").is_none() && format == Format::Vol {
-        header.warnings.push(format!("{name}: no Voxel-Size in the header; 1 byte assumed"));
+        header.warnings.push(format!(
+            "{name}: no Voxel-Size in the header; 1 byte assumed"
+        ));
     }
     // All known files say 0123 and hold little-endian words, whatever machine wrote them.
     if let Some(order) = fields.find("Int-Endian")
@@ -150,7 +168,14 @@ fn skip_binary_extents(
         )
         .at(start));
     }
-    let word = |i: usize| [bytes[4 * i], bytes[4 * i + 1], bytes[4 * i + 2], bytes[4 * i + 3]];
+    let word = |i: usize| {
+        [
+            bytes[4 * i],
+            bytes[4 * i + 1],
+            bytes[4 * i + 2],
+            bytes[4 * i + 3],
+        ]
+    };
     let little = [0, 1, 2].map(|i| u64::from(u32::from_le_bytes(word(i))));
     let big = [0, 1, 2].map(|i| u64::from(u32::from_be_bytes(word(i))));
     if little != header.dims && big != header.dims {
@@ -209,10 +234,15 @@ impl Fields {
     }
 
     fn number(&self, key: &str, name: &str) -> Result<Option<u64>, Error> {
-        let Some(field) = self.find(key) else { return Ok(None) };
+        let Some(field) = self.find(key) else {
+            return Ok(None);
+        };
         field.value.parse().map(Some).map_err(|_| {
-            Error::invalid(name, format!("{key} is '{}', a whole number expected", field.value))
-                .at(field.at)
+            Error::invalid(
+                name,
+                format!("{key} is '{}', a whole number expected", field.value),
+            )
+            .at(field.at)
         })
     }
 

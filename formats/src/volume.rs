@@ -103,9 +103,11 @@ impl Volume {
     pub fn into_forward(self) -> Box<dyn ForwardVoxels> {
         match self.voxels {
             Voxels::Forward(voxels) => voxels,
-            Voxels::Random(voxels) => {
-                Box::new(InOrder { voxels, dims: self.header.dims, next: 0 })
-            }
+            Voxels::Random(voxels) => Box::new(InOrder {
+                voxels,
+                dims: self.header.dims,
+                next: 0,
+            }),
         }
     }
 }
@@ -123,7 +125,10 @@ impl ForwardVoxels for InOrder {
         let [x, y, z] = self.dims;
         let count = count.min(z - self.next);
         if count > 0 {
-            let region = Region { origin: [0, 0, self.next], size: [x, y, count] };
+            let region = Region {
+                origin: [0, 0, self.next],
+                size: [x, y, count],
+            };
             self.voxels.read_box(&region, out)?;
             self.next += count;
             self.voxels.release(self.next);

@@ -87,7 +87,9 @@ impl<W: Write> VolumeWriter<W> {
         let expected = spec
             .dims
             .iter()
-            .try_fold(spec.dtype.voxel.bytes() as u64, |product, n| product.checked_mul(*n))
+            .try_fold(spec.dtype.voxel.bytes() as u64, |product, n| {
+                product.checked_mul(*n)
+            })
             .filter(|bytes| *bytes > 0 && *bytes <= u64::MAX >> 2)
             .ok_or_else(|| {
                 Error::invalid(name, format!("{:?} voxels cannot be written", spec.dims))
@@ -99,14 +101,21 @@ impl<W: Write> VolumeWriter<W> {
             WriteFormat::Vol => vol_header(spec, 2, name)?,
             WriteFormat::VolZlib => vol_header(spec, 3, name)?,
         };
-        out.write_all(&header).map_err(|e| cannot_write(name, 0, e))?;
+        out.write_all(&header)
+            .map_err(|e| cannot_write(name, 0, e))?;
         let body = match spec.format {
-            WriteFormat::VolZlib => {
-                Body::Zlib(Box::new(ZlibEncoder::new(out, flate2::Compression::default())))
-            }
+            WriteFormat::VolZlib => Body::Zlib(Box::new(ZlibEncoder::new(
+                out,
+                flate2::Compression::default(),
+            ))),
             _ => Body::Plain(out),
         };
-        Ok(Self { body, name: name.to_string(), expected, written: 0 })
+        Ok(Self {
+            body,
+            name: name.to_string(),
+            expected,
+            written: 0,
+        })
     }
 
     /// Writes the next voxels, whole planes or any part of them.
@@ -203,14 +212,20 @@ fn vol_header(spec: &WriteSpec, version: u8, name: &str) -> Result<Vec<u8>, Erro
         _ => {
             return Err(Error::unsupported(
                 name,
-                format!(".vol holds u8 and .longvol u64le voxels, not {}", spec.dtype),
+                format!(
+                    ".vol holds u8 and .longvol u64le voxels, not {}",
+                    spec.dtype
+                ),
             ));
         }
     };
     let [x, y, z] = spec.dims;
     // DGtal reads extents as 32-bit integers.
     if spec.dims.iter().any(|n| i32::try_from(*n).is_err()) {
-        return Err(Error::unsupported(name, format!(".vol cannot hold {:?} voxels", spec.dims)));
+        return Err(Error::unsupported(
+            name,
+            format!(".vol cannot hold {:?} voxels", spec.dims),
+        ));
     }
     Ok(format!(
         "Center-X: {}\nCenter-Y: {}\nCenter-Z: {}\nX: {x}\nY: {y}\nZ: {z}\n{prefix}oxel-Size: \
@@ -252,7 +267,10 @@ fn nifti_header(spec: &WriteSpec, name: &str) -> Result<Vec<u8>, Error> {
         VoxelType::I64 => 1024,
         VoxelType::U64 => 1280,
         VoxelType::F16 => {
-            return Err(Error::unsupported(name, "NIfTI has no half precision voxels"));
+            return Err(Error::unsupported(
+                name,
+                "NIfTI has no half precision voxels",
+            ));
         }
     };
     let spacing = spec.spacing.unwrap_or([1.0; 3]);
@@ -277,10 +295,17 @@ fn nifti_header(spec: &WriteSpec, name: &str) -> Result<Vec<u8>, Error> {
             _ => spec.direction[r][c] * spacing[c],
         })
     };
-    let small: Vec<i16> = spec.dims.iter().filter_map(|n| i16::try_from(*n).ok()).collect();
+    let small: Vec<i16> = spec
+        .dims
+        .iter()
+        .filter_map(|n| i16::try_from(*n).ok())
+        .collect();
 
     if let [x, y, z] = small[..] {
-        let mut record = Record { bytes: vec![0; 352], order: spec.dtype.byte_order };
+        let mut record = Record {
+            bytes: vec![0; 352],
+            order: spec.dtype.byte_order,
+        };
         record.put(0, 348_i32.to_le_bytes());
         for (i, n) in [3, x, y, z, 1, 1, 1, 1].into_iter().enumerate() {
             record.put(40 + 2 * i, n.to_le_bytes());
@@ -288,7 +313,10 @@ fn nifti_header(spec: &WriteSpec, name: &str) -> Result<Vec<u8>, Error> {
         record.put(70, datatype.to_le_bytes());
         record.put(72, (bits as i16).to_le_bytes());
         // Single precision is what the format has.
-        for (i, s) in [1.0, spacing[0], spacing[1], spacing[2]].into_iter().enumerate() {
+        for (i, s) in [1.0, spacing[0], spacing[1], spacing[2]]
+            .into_iter()
+            .enumerate()
+        {
             record.put(76 + 4 * i, (s as f32).to_le_bytes());
         }
         record.put(108, 352_f32.to_le_bytes());
@@ -304,7 +332,10 @@ fn nifti_header(spec: &WriteSpec, name: &str) -> Result<Vec<u8>, Error> {
         return Ok(record.bytes);
     }
 
-    let mut record = Record { bytes: vec![0; 544], order: spec.dtype.byte_order };
+    let mut record = Record {
+        bytes: vec![0; 544],
+        order: spec.dtype.byte_order,
+    };
     record.put(0, 540_i32.to_le_bytes());
     record.bytes[4..12].copy_from_slice(b"n+2\0\r\n\x1a\n");
     record.put(12, datatype.to_le_bytes());
@@ -313,7 +344,10 @@ fn nifti_header(spec: &WriteSpec, name: &str) -> Result<Vec<u8>, Error> {
     for (i, n) in [3, x, y, z, 1, 1, 1, 1].into_iter().enumerate() {
         record.put(16 + 8 * i, n.to_le_bytes());
     }
-    for (i, s) in [1.0, spacing[0], spacing[1], spacing[2]].into_iter().enumerate() {
+    for (i, s) in [1.0, spacing[0], spacing[1], spacing[2]]
+        .into_iter()
+        .enumerate()
+    {
         record.put(104 + 8 * i, s.to_le_bytes());
     }
     record.put(168, 544_i64.to_le_bytes());

@@ -2,9 +2,7 @@
 
 use std::fs::OpenOptions as FileOptions;
 
-use curvox_formats::{
-    DType, IoMode, OpenOptions, RandomVoxels, Region, VoxelType, Voxels, open,
-};
+use curvox_formats::{DType, IoMode, OpenOptions, RandomVoxels, Region, VoxelType, Voxels, open};
 
 use crate::support::{Folder, noise, npy, transposed};
 
@@ -15,8 +13,18 @@ fn mapped(folder: &Folder, io: IoMode, fortran: bool) -> Box<dyn RandomVoxels> {
     if fortran {
         voxels = transposed(DIMS, 1, &voxels);
     }
-    let path = folder.write("a.npy", &npy(DIMS, DType::little(VoxelType::U8), 1, fortran, &voxels));
-    let volume = open(&path, &OpenOptions { io, ..Default::default() }).unwrap();
+    let path = folder.write(
+        "a.npy",
+        &npy(DIMS, DType::little(VoxelType::U8), 1, fortran, &voxels),
+    );
+    let volume = open(
+        &path,
+        &OpenOptions {
+            io,
+            ..Default::default()
+        },
+    )
+    .unwrap();
     assert_eq!(volume.source.mapped, io == IoMode::Map);
     match volume.voxels {
         Voxels::Random(voxels) => voxels,
@@ -25,7 +33,12 @@ fn mapped(folder: &Folder, io: IoMode, fortran: bool) -> Box<dyn RandomVoxels> {
 }
 
 fn cut(folder: &Folder, length: u64) {
-    FileOptions::new().write(true).open(folder.path("a.npy")).unwrap().set_len(length).unwrap();
+    FileOptions::new()
+        .write(true)
+        .open(folder.path("a.npy"))
+        .unwrap()
+        .set_len(length)
+        .unwrap();
 }
 
 #[test]
@@ -53,7 +66,10 @@ fn a_file_cut_before_an_access_is_an_error() {
 fn a_file_cut_between_access_and_use_is_an_error_not_a_crash() {
     let folder = Folder::new();
     let voxels = mapped(&folder, IoMode::Map, false);
-    let planes = voxels.planes(0, 64).unwrap().expect("a mapped file gives its planes");
+    let planes = voxels
+        .planes(0, 64)
+        .unwrap()
+        .expect("a mapped file gives its planes");
     cut(&folder, 5000);
     // Pages beyond the new end are gone; the guard puts zeros there.
     let sum: u64 = planes.iter().map(|b| u64::from(*b)).sum();

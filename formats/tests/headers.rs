@@ -2,7 +2,7 @@
 
 use curvox_formats::{DType, ErrorKind, Format, OpenOptions, Scaling, Unit, VoxelType, open};
 
-use crate::support::{Folder, Nifti, npy_with, noise, open_bytes, read_all, read_bytes, vol};
+use crate::support::{Folder, Nifti, noise, npy_with, open_bytes, read_all, read_bytes, vol};
 
 const DIMS: [u64; 3] = [3, 4, 5];
 const VOXELS: usize = 60;
@@ -12,7 +12,9 @@ fn nifti(version: u8) -> Nifti {
 }
 
 fn header(nifti: &Nifti) -> curvox_formats::Header {
-    open_bytes(&nifti.file(&noise(VOXELS)), &OpenOptions::default()).unwrap().header
+    open_bytes(&nifti.file(&noise(VOXELS)), &OpenOptions::default())
+        .unwrap()
+        .header
 }
 
 fn refusal(file: &[u8]) -> curvox_formats::Error {
@@ -39,8 +41,16 @@ fn impossible_spacing_is_unknown_with_a_warning() {
             file.pixdim(&[1.0, 1.0, bad, 1.0]);
             file.units(2);
             let header = header(&file);
-            assert_eq!((header.spacing, header.unit), (None, Unit::Unknown), "{bad}");
-            assert!(header.warnings[0].contains("pixdim[2]"), "{:?}", header.warnings);
+            assert_eq!(
+                (header.spacing, header.unit),
+                (None, Unit::Unknown),
+                "{bad}"
+            );
+            assert!(
+                header.warnings[0].contains("pixdim[2]"),
+                "{:?}",
+                header.warnings
+            );
         }
     }
 }
@@ -60,11 +70,18 @@ fn sform_gives_origin_and_direction_but_never_spacing() {
         let mut file = nifti(version);
         file.codes(1, 1);
         file.pixdim(&[1.0, 2.0, 3.0, 4.0]);
-        file.srow([[0.0, -6.0, 0.0, 10.0], [4.0, 0.0, 0.0, 20.0], [0.0, 0.0, -8.0, 30.0]]);
+        file.srow([
+            [0.0, -6.0, 0.0, 10.0],
+            [4.0, 0.0, 0.0, 20.0],
+            [0.0, 0.0, -8.0, 30.0],
+        ]);
         let header = header(&file);
         assert_eq!(header.spacing, Some([2.0, 3.0, 4.0]));
         assert_eq!(header.origin, [10.0, 20.0, 30.0]);
-        assert_eq!(header.direction, [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]);
+        assert_eq!(
+            header.direction,
+            [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]
+        );
         assert_eq!(header.warnings.len(), 1, "{:?}", header.warnings);
         assert!(header.warnings[0].contains("pixdim is used"));
     }
@@ -94,7 +111,11 @@ fn qform_is_a_rotation_by_its_quaternion() {
 fn a_singular_sform_falls_back_to_the_qform() {
     for rows in [
         [[0.0; 4]; 3],
-        [[1.0, 1.0, 0.0, 0.0], [1.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]],
+        [
+            [1.0, 1.0, 0.0, 0.0],
+            [1.0, 1.0, 0.0, 0.0],
+            [0.0, 0.0, 1.0, 0.0],
+        ],
         [[f64::NAN; 4]; 3],
     ] {
         let mut file = nifti(1);
@@ -112,8 +133,22 @@ fn a_singular_sform_falls_back_to_the_qform() {
 fn scaling_is_none_when_the_slope_is_zero_or_no_number() {
     for version in [1, 2] {
         for (slope, intercept, expected) in [
-            (2.0, -1024.0, Some(Scaling { slope: 2.0, intercept: -1024.0 })),
-            (1.0, 0.5, Some(Scaling { slope: 1.0, intercept: 0.5 })),
+            (
+                2.0,
+                -1024.0,
+                Some(Scaling {
+                    slope: 2.0,
+                    intercept: -1024.0,
+                }),
+            ),
+            (
+                1.0,
+                0.5,
+                Some(Scaling {
+                    slope: 1.0,
+                    intercept: 0.5,
+                }),
+            ),
             (1.0, 0.0, None),
             (0.0, 55.0, None),
             (f64::NAN, 0.0, None),
@@ -140,14 +175,20 @@ fn several_frames_need_a_choice() {
         let path = folder.write("frames", &file);
         let packed = folder.write("frames.gz", &crate::support::gzip(&file));
         for frame in 0..6 {
-            let options = OpenOptions { frame: Some(frame as u64), ..Default::default() };
+            let options = OpenOptions {
+                frame: Some(frame as u64),
+                ..Default::default()
+            };
             for path in [&path, &packed] {
                 let (_, found, warnings) = read_all(open(path, &options).unwrap()).unwrap();
                 assert!(found == voxels[frame * VOXELS..(frame + 1) * VOXELS]);
                 assert_eq!(warnings, [""; 0]);
             }
         }
-        let options = OpenOptions { frame: Some(6), ..Default::default() };
+        let options = OpenOptions {
+            frame: Some(6),
+            ..Default::default()
+        };
         assert!(open(&path, &options).is_err());
     }
 }
@@ -164,9 +205,15 @@ fn axes_of_size_one_are_no_frames() {
 
 #[test]
 fn a_frame_of_a_format_without_frames_is_an_error() {
-    let options = OpenOptions { frame: Some(1), ..Default::default() };
+    let options = OpenOptions {
+        frame: Some(1),
+        ..Default::default()
+    };
     assert!(open_bytes(&vol(DIMS, 2, &noise(VOXELS)), &options).is_err());
-    let options = OpenOptions { frame: Some(0), ..Default::default() };
+    let options = OpenOptions {
+        frame: Some(0),
+        ..Default::default()
+    };
     assert!(open_bytes(&vol(DIMS, 2, &noise(VOXELS)), &options).is_ok());
 }
 
@@ -189,14 +236,23 @@ fn nifti_voxels_that_are_no_numbers_are_refused_by_name() {
     }
     let mut file = nifti(1);
     file.i16(70, 1234);
-    assert_eq!(refusal(&file.file(&noise(VOXELS))).kind(), ErrorKind::Invalid);
+    assert_eq!(
+        refusal(&file.file(&noise(VOXELS))).kind(),
+        ErrorKind::Invalid
+    );
 }
 
 #[test]
 fn voxel_offsets_must_be_whole_and_behind_the_header() {
-    for (offset, good) in
-        [(352.0, true), (0.0, true), (351.0, false), (352.5, false), (-1.0, false), (f32::NAN, false), (1e30, false)]
-    {
+    for (offset, good) in [
+        (352.0, true),
+        (0.0, true),
+        (351.0, false),
+        (352.5, false),
+        (-1.0, false),
+        (f32::NAN, false),
+        (1e30, false),
+    ] {
         let mut file = nifti(1);
         file.f32(108, offset);
         let found = read_bytes(&file.file(&noise(VOXELS)), &OpenOptions::default());
@@ -208,10 +264,18 @@ fn voxel_offsets_must_be_whole_and_behind_the_header() {
 fn analyze_and_cifti_are_refused_by_name() {
     let mut file = nifti(1);
     file.bytes[344..348].fill(0);
-    assert!(refusal(&file.file(&noise(VOXELS))).message().contains("Analyze"));
+    assert!(
+        refusal(&file.file(&noise(VOXELS)))
+            .message()
+            .contains("Analyze")
+    );
     let mut file = nifti(2);
     file.i32(504, 3001);
-    assert!(refusal(&file.file(&noise(VOXELS))).message().contains("CIFTI"));
+    assert!(
+        refusal(&file.file(&noise(VOXELS)))
+            .message()
+            .contains("CIFTI")
+    );
 }
 
 #[test]
@@ -225,24 +289,72 @@ fn a_missing_image_names_the_files_tried() {
 #[test]
 fn npy_headers_that_are_no_plain_array_are_refused() {
     for (text, word) in [
-        ("{'descr': '<c8', 'fortran_order': False, 'shape': (3, 4, 5)}", "complex"),
-        ("{'descr': '|O', 'fortran_order': False, 'shape': (3, 4, 5)}", "unpickled"),
-        ("{'descr': [('a', '|u1')], 'fortran_order': False, 'shape': (3, 4, 5)}", "structured"),
-        ("{'descr': '|S3', 'fortran_order': False, 'shape': (3, 4, 5)}", "not a number"),
-        ("{'descr': '<f16', 'fortran_order': False, 'shape': (3, 4, 5)}", "<f16"),
-        ("{'descr': 'i4', 'fortran_order': False, 'shape': (3, 4, 5)}", "byte order"),
-        ("{'descr': '=i4', 'fortran_order': False, 'shape': (3, 4, 5)}", "byte order"),
-        ("{'descr': '|u1', 'fortran_order': False, 'shape': (4, 5)}", "2 axes"),
-        ("{'descr': '|u1', 'fortran_order': False, 'shape': (4, 5, 6, 3)}", "colour"),
-        ("{'descr': '|u1', 'fortran_order': False, 'shape': (3, 0, 5)}", "size 0"),
-        ("{'descr': '|u1', 'fortran_order': False, 'shape': (3, -4, 5)}", "-4"),
-        ("{'descr': '|u1', 'fortran_order': 0, 'shape': (3, 4, 5)}", "fortran_order is 0"),
+        (
+            "{'descr': '<c8', 'fortran_order': False, 'shape': (3, 4, 5)}",
+            "complex",
+        ),
+        (
+            "{'descr': '|O', 'fortran_order': False, 'shape': (3, 4, 5)}",
+            "unpickled",
+        ),
+        (
+            "{'descr': [('a', '|u1')], 'fortran_order': False, 'shape': (3, 4, 5)}",
+            "structured",
+        ),
+        (
+            "{'descr': '|S3', 'fortran_order': False, 'shape': (3, 4, 5)}",
+            "not a number",
+        ),
+        (
+            "{'descr': '<f16', 'fortran_order': False, 'shape': (3, 4, 5)}",
+            "<f16",
+        ),
+        (
+            "{'descr': 'i4', 'fortran_order': False, 'shape': (3, 4, 5)}",
+            "byte order",
+        ),
+        (
+            "{'descr': '=i4', 'fortran_order': False, 'shape': (3, 4, 5)}",
+            "byte order",
+        ),
+        (
+            "{'descr': '|u1', 'fortran_order': False, 'shape': (4, 5)}",
+            "2 axes",
+        ),
+        (
+            "{'descr': '|u1', 'fortran_order': False, 'shape': (4, 5, 6, 3)}",
+            "colour",
+        ),
+        (
+            "{'descr': '|u1', 'fortran_order': False, 'shape': (3, 0, 5)}",
+            "size 0",
+        ),
+        (
+            "{'descr': '|u1', 'fortran_order': False, 'shape': (3, -4, 5)}",
+            "-4",
+        ),
+        (
+            "{'descr': '|u1', 'fortran_order': 0, 'shape': (3, 4, 5)}",
+            "fortran_order is 0",
+        ),
         ("{'descr': '|u1', 'fortran_order': False}", "no key 'shape'"),
-        ("{'descr': '|u1', 'fortran_order': False, 'shape': (3, 4, 5), 'x': 1}", "unknown key"),
-        ("{'descr': '|u1', 'descr': '|u1', 'fortran_order': False, 'shape': (1,1,1)}", "twice"),
-        ("{'descr': '|u1', 'fortran_order': False, 'shape': (exit(7), 4, 5)}", "literal"),
+        (
+            "{'descr': '|u1', 'fortran_order': False, 'shape': (3, 4, 5), 'x': 1}",
+            "unknown key",
+        ),
+        (
+            "{'descr': '|u1', 'descr': '|u1', 'fortran_order': False, 'shape': (1,1,1)}",
+            "twice",
+        ),
+        (
+            "{'descr': '|u1', 'fortran_order': False, 'shape': (exit(7), 4, 5)}",
+            "literal",
+        ),
         ("(1, 2)", "dictionary"),
-        ("{'descr': '|u1', 'fortran_order': False, 'shape': (1 << 60, 4, 5)}", "literal"),
+        (
+            "{'descr': '|u1', 'fortran_order': False, 'shape': (1 << 60, 4, 5)}",
+            "literal",
+        ),
         (
             "{'descr': '<f8', 'fortran_order': False, 'shape': (9223372036854775807, 4, 5)}",
             "do not fit",
@@ -278,7 +390,10 @@ fn vol_headers_with_a_line_missing_or_wrong_are_errors() {
 fn the_format_can_be_forced_but_not_against_the_content() {
     let file = vol(DIMS, 2, &noise(VOXELS));
     let force = |format| {
-        let options = OpenOptions { format: Some(format), ..Default::default() };
+        let options = OpenOptions {
+            format: Some(format),
+            ..Default::default()
+        };
         read_bytes(&file, &options)
     };
     assert!(force(Format::Vol).is_ok());

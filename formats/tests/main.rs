@@ -3,6 +3,8 @@
 //! Files are made by the tests themselves. Tests that read the shared folder of volumes find it
 //! through `CURVOX_TEST_DATA` and say so when they are skipped.
 
+#![allow(unreachable_pub)]
+
 /// Files made in memory, temporary folders, and other tools of the tests.
 mod support;
 

@@ -12,16 +12,26 @@ use crate::support::{
 const DIMS: [u64; 3] = [5, 4, 7];
 
 fn types() -> Vec<DType> {
-    VoxelType::ALL.into_iter().flat_map(|v| [DType::little(v), DType::big(v)]).collect()
+    VoxelType::ALL
+        .into_iter()
+        .flat_map(|v| [DType::little(v), DType::big(v)])
+        .collect()
 }
 
 /// Reads `file` in every way there is and compares it with `voxels`.
 fn check(file: &[u8], options: &OpenOptions, dtype: DType, voxels: &[u8], what: &str) {
     let folder = Folder::new();
-    for (suffix, bytes) in [("", file.to_vec()), (".gz", gzip(file)), (".zst", zstd(file))] {
+    for (suffix, bytes) in [
+        ("", file.to_vec()),
+        (".gz", gzip(file)),
+        (".zst", zstd(file)),
+    ] {
         let path = folder.write(&format!("volume{suffix}"), &bytes);
         for io in [IoMode::Auto, IoMode::Map, IoMode::Read] {
-            let options = OpenOptions { io, ..options.clone() };
+            let options = OpenOptions {
+                io,
+                ..options.clone()
+            };
             let by_path = || open(&path, &options);
             compare(by_path, dtype, voxels, &format!("{what}{suffix}, {io:?}"));
         }
@@ -36,8 +46,9 @@ fn check(file: &[u8], options: &OpenOptions, dtype: DType, voxels: &[u8], what: 
 }
 
 fn compare(open: impl Fn() -> Result<Volume, Error>, dtype: DType, voxels: &[u8], what: &str) {
-    let (header, found, warnings) =
-        open().and_then(read_all).unwrap_or_else(|e| panic!("{what}: {e}"));
+    let (header, found, warnings) = open()
+        .and_then(read_all)
+        .unwrap_or_else(|e| panic!("{what}: {e}"));
     assert_eq!(header.dims, DIMS, "{what}");
     assert_eq!(header.voxel, dtype.voxel, "{what}");
     if dtype.voxel.bytes() > 1 {
@@ -56,7 +67,13 @@ fn voxels_of(dtype: DType) -> Vec<u8> {
 fn raw_is_read_in_every_type() {
     for dtype in types() {
         let voxels = voxels_of(dtype);
-        check(&voxels, &raw_options(DIMS, dtype), dtype, &voxels, &format!("raw {dtype}"));
+        check(
+            &voxels,
+            &raw_options(DIMS, dtype),
+            dtype,
+            &voxels,
+            &format!("raw {dtype}"),
+        );
     }
 }
 
@@ -88,11 +105,23 @@ fn npy_is_read_in_every_type_order_and_version() {
         let voxels = voxels_of(dtype);
         for version in [1, 2, 3] {
             let file = npy(DIMS, dtype, version, false, &voxels);
-            check(&file, &OpenOptions::default(), dtype, &voxels, &format!("npy {version} {dtype}"));
+            check(
+                &file,
+                &OpenOptions::default(),
+                dtype,
+                &voxels,
+                &format!("npy {version} {dtype}"),
+            );
         }
         let stored = transposed(DIMS, dtype.voxel.bytes(), &voxels);
         let file = npy(DIMS, dtype, 1, true, &stored);
-        check(&file, &OpenOptions::default(), dtype, &voxels, &format!("npy fortran {dtype}"));
+        check(
+            &file,
+            &OpenOptions::default(),
+            dtype,
+            &voxels,
+            &format!("npy fortran {dtype}"),
+        );
     }
 }
 
@@ -102,7 +131,13 @@ fn vol_is_read_in_every_version() {
     let voxels = voxels_of(dtype);
     for version in [1, 2, 3] {
         let file = vol(DIMS, version, &voxels);
-        check(&file, &OpenOptions::default(), dtype, &voxels, &format!("vol {version}"));
+        check(
+            &file,
+            &OpenOptions::default(),
+            dtype,
+            &voxels,
+            &format!("vol {version}"),
+        );
     }
 }
 
@@ -113,11 +148,21 @@ fn vol_without_a_version_has_its_extents_twice() {
     for big in [false, true] {
         let mut file = b"X: 5\nY: 4\nZ: 7\nVoxel-Size: 1\nInt-Endian: 0123\n.\n".to_vec();
         for n in [5_u32, 4, 7] {
-            file.extend_from_slice(&if big { n.to_be_bytes() } else { n.to_le_bytes() });
+            file.extend_from_slice(&if big {
+                n.to_be_bytes()
+            } else {
+                n.to_le_bytes()
+            });
         }
         file.push(b'\n');
         file.extend_from_slice(&voxels);
-        check(&file, &OpenOptions::default(), dtype, &voxels, "vol without version");
+        check(
+            &file,
+            &OpenOptions::default(),
+            dtype,
+            &voxels,
+            "vol without version",
+        );
     }
 }
 
@@ -126,12 +171,21 @@ fn longvol_is_read_with_eight_bytes() {
     let dtype = DType::little(VoxelType::U64);
     let voxels = voxels_of(dtype);
     for version in [2, 3] {
-        let mut file = format!(
-            "X: 5\nY: 4\nZ: 7\nLvoxel-Size: 8\nInt-Endian: 0123\nVersion: {version}\n.\n"
-        )
-        .into_bytes();
-        file.extend(if version == 3 { crate::support::zlib(&voxels) } else { voxels.clone() });
-        check(&file, &OpenOptions::default(), dtype, &voxels, &format!("longvol {version}"));
+        let mut file =
+            format!("X: 5\nY: 4\nZ: 7\nLvoxel-Size: 8\nInt-Endian: 0123\nVersion: {version}\n.\n")
+                .into_bytes();
+        file.extend(if version == 3 {
+            crate::support::zlib(&voxels)
+        } else {
+            voxels.clone()
+        });
+        check(
+            &file,
+            &OpenOptions::default(),
+            dtype,
+            &voxels,
+            &format!("longvol {version}"),
+        );
     }
 }
 
@@ -145,7 +199,11 @@ fn longvol_saying_four_bytes_is_decided_by_its_data() {
                 "X: 5\nY: 4\nZ: 7\nLvoxel-Size: 4\nInt-Endian: 0123\nVersion: {version}\n.\n"
             )
             .into_bytes();
-            file.extend(if version == 3 { crate::support::zlib(&voxels) } else { voxels.clone() });
+            file.extend(if version == 3 {
+                crate::support::zlib(&voxels)
+            } else {
+                voxels.clone()
+            });
             for bytes in [file.clone(), gzip(&file)] {
                 let path = folder.write("a.longvol", &bytes);
                 let options = OpenOptions::default();
@@ -205,9 +263,13 @@ fn nifti_pairs_are_read_from_either_file_in_any_compression() {
 #[test]
 fn what_the_writers_write_is_read_back() {
     let folder = Folder::new();
-    for format in
-        [WriteFormat::Raw, WriteFormat::Npy, WriteFormat::Nifti, WriteFormat::Vol, WriteFormat::VolZlib]
-    {
+    for format in [
+        WriteFormat::Raw,
+        WriteFormat::Npy,
+        WriteFormat::Nifti,
+        WriteFormat::Vol,
+        WriteFormat::VolZlib,
+    ] {
         for dtype in types() {
             let mut spec = WriteSpec::new(format, DIMS, dtype);
             spec.spacing = Some([0.5, 3.2, 1.25]);
@@ -254,7 +316,11 @@ fn what_the_writers_write_is_read_back() {
 
 #[test]
 fn nifti_2_is_written_where_nifti_1_ends() {
-    let spec = WriteSpec::new(WriteFormat::Nifti, [40_000, 1, 2], DType::little(VoxelType::U8));
+    let spec = WriteSpec::new(
+        WriteFormat::Nifti,
+        [40_000, 1, 2],
+        DType::little(VoxelType::U8),
+    );
     let mut writer = VolumeWriter::new(Vec::new(), "long", &spec).unwrap();
     let voxels = noise(80_000);
     writer.write_planes(&voxels).unwrap();
@@ -281,12 +347,30 @@ fn mapped_planes_come_without_a_copy() {
     let voxels = voxels_of(dtype);
     let folder = Folder::new();
     let path = folder.write("a.npy", &npy(DIMS, dtype, 1, false, &voxels));
-    let volume = open(&path, &OpenOptions { io: IoMode::Map, ..Default::default() }).unwrap();
+    let volume = open(
+        &path,
+        &OpenOptions {
+            io: IoMode::Map,
+            ..Default::default()
+        },
+    )
+    .unwrap();
     assert!(volume.source.mapped && volume.source.re_readable && !volume.source.compressed);
-    let Voxels::Random(random) = volume.voxels else { panic!("a mapped file reads at random") };
+    let Voxels::Random(random) = volume.voxels else {
+        panic!("a mapped file reads at random")
+    };
     assert_eq!(random.planes(2, 3).unwrap(), Some(&voxels[80..200]));
-    let volume = open(&path, &OpenOptions { io: IoMode::Read, ..Default::default() }).unwrap();
+    let volume = open(
+        &path,
+        &OpenOptions {
+            io: IoMode::Read,
+            ..Default::default()
+        },
+    )
+    .unwrap();
     assert!(!volume.source.mapped);
-    let Voxels::Random(random) = volume.voxels else { panic!("a file reads at random") };
+    let Voxels::Random(random) = volume.voxels else {
+        panic!("a file reads at random")
+    };
     assert_eq!(random.planes(2, 3).unwrap(), None);
 }

@@ -61,20 +61,36 @@ fn fortran_order_from_a_pipe_is_held_up_to_the_limit() {
     let dtype = DType::little(VoxelType::U8);
     let file = npy(DIMS, dtype, 1, true, &noise(9 * 8 * 11));
     let open = |limit| {
-        let options = OpenOptions { spool_limit_bytes: limit, ..Default::default() };
-        open_stream(Box::new(std::io::Cursor::new(file.clone())), "<stdin>", &options)
+        let options = OpenOptions {
+            spool_limit_bytes: limit,
+            ..Default::default()
+        };
+        open_stream(
+            Box::new(std::io::Cursor::new(file.clone())),
+            "<stdin>",
+            &options,
+        )
     };
     assert!(matches!(open(792).unwrap().voxels, Voxels::Random(_)));
     let error = open(791).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::Unsupported);
-    assert!(error.message().contains("792") && error.message().contains("791"), "{error}");
+    assert!(
+        error.message().contains("792") && error.message().contains("791"),
+        "{error}"
+    );
 }
 
 #[test]
 fn a_pair_needs_a_path() {
-    let header = Nifti::new(1, DIMS, DType::little(VoxelType::U8)).pair().bytes;
-    let error = open_stream(Box::new(std::io::Cursor::new(header)), "<stdin>", &Default::default())
-        .unwrap_err();
+    let header = Nifti::new(1, DIMS, DType::little(VoxelType::U8))
+        .pair()
+        .bytes;
+    let error = open_stream(
+        Box::new(std::io::Cursor::new(header)),
+        "<stdin>",
+        &Default::default(),
+    )
+    .unwrap_err();
     assert_eq!(error.kind(), ErrorKind::Unsupported);
 }
 

@@ -115,12 +115,19 @@ pub fn read_path(path: &Path) -> Result<(Header, Vec<u8>, Vec<String>), Error> {
     read_all(open(path, &OpenOptions::default())?)
 }
 
-pub fn read_bytes(bytes: &[u8], options: &OpenOptions) -> Result<(Header, Vec<u8>, Vec<String>), Error> {
+pub fn read_bytes(
+    bytes: &[u8],
+    options: &OpenOptions,
+) -> Result<(Header, Vec<u8>, Vec<String>), Error> {
     read_all(open_bytes(bytes, options)?)
 }
 
 pub fn open_bytes(bytes: &[u8], options: &OpenOptions) -> Result<Volume, Error> {
-    open_stream(Box::new(std::io::Cursor::new(bytes.to_vec())), "stream", options)
+    open_stream(
+        Box::new(std::io::Cursor::new(bytes.to_vec())),
+        "stream",
+        options,
+    )
 }
 
 /// A reader that gives a few bytes at a time, as a pipe may.
@@ -136,8 +143,17 @@ impl std::io::Read for Drip {
 }
 
 pub fn raw_options(dims: [u64; 3], dtype: DType) -> OpenOptions {
-    let raw = RawLayout { dims, dtype, spacing: None, unit: Unit::Unknown, skip: 0 };
-    OpenOptions { raw: Some(raw), ..OpenOptions::default() }
+    let raw = RawLayout {
+        dims,
+        dtype,
+        spacing: None,
+        unit: Unit::Unknown,
+        skip: 0,
+    };
+    OpenOptions {
+        raw: Some(raw),
+        ..OpenOptions::default()
+    }
 }
 
 pub fn gzip(bytes: &[u8]) -> Vec<u8> {
@@ -222,7 +238,11 @@ pub fn vol(dims: [u64; 3], version: u8, voxels: &[u8]) -> Vec<u8> {
          0123\nVersion: {version}\n.\n"
     )
     .into_bytes();
-    file.extend(if version == 3 { zlib(voxels) } else { voxels.to_vec() });
+    file.extend(if version == 3 {
+        zlib(voxels)
+    } else {
+        voxels.to_vec()
+    });
     file
 }
 
@@ -237,7 +257,11 @@ impl Nifti {
     pub fn new(version: u8, dims: [u64; 3], dtype: DType) -> Self {
         let order = dtype.byte_order;
         let size = if version == 1 { 352 } else { 544 };
-        let mut header = Self { bytes: vec![0; size], version, order };
+        let mut header = Self {
+            bytes: vec![0; size],
+            version,
+            order,
+        };
         let code: i16 = match dtype.voxel {
             VoxelType::U8 => 2,
             VoxelType::I16 => 4,

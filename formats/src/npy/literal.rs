@@ -20,7 +20,11 @@ pub(super) enum Literal {
 impl fmt::Display for Literal {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         fn joined(items: &[Literal]) -> String {
-            items.iter().map(Literal::to_string).collect::<Vec<_>>().join(", ")
+            items
+                .iter()
+                .map(Literal::to_string)
+                .collect::<Vec<_>>()
+                .join(", ")
         }
         match self {
             Self::Text(text) => write!(f, "'{}'", text.escape_debug()),
@@ -44,7 +48,10 @@ const MOST_DEPTH: usize = 16;
 
 /// Parses `text`, which is one literal and white space around it.
 pub(super) fn parse(text: &str) -> Result<Literal, Failure> {
-    let mut parser = Parser { text: text.as_bytes(), at: 0 };
+    let mut parser = Parser {
+        text: text.as_bytes(),
+        at: 0,
+    };
     let value = parser.value(0)?;
     parser.space();
     if parser.at < parser.text.len() {
@@ -189,7 +196,10 @@ impl Parser<'_> {
         if self.peek() == Some(b'L') {
             self.at += 1;
         }
-        if self.peek().is_some_and(|b| b.is_ascii_alphanumeric() || b == b'_' || b == b'.') {
+        if self
+            .peek()
+            .is_some_and(|b| b.is_ascii_alphanumeric() || b == b'_' || b == b'.')
+        {
             return self.fail("a whole number expected");
         }
         Ok(Literal::Int(value))
@@ -204,8 +214,13 @@ mod tests {
     fn a_numpy_header_is_read() {
         let found =
             parse("{'descr': '<f4', 'fortran_order': False, 'shape': (3, 4L, 5), }   \n").unwrap();
-        let Literal::Dict(entries) = found else { panic!("not a dictionary") };
-        assert_eq!(entries[0], (Literal::Text("descr".into()), Literal::Text("<f4".into())));
+        let Literal::Dict(entries) = found else {
+            panic!("not a dictionary")
+        };
+        assert_eq!(
+            entries[0],
+            (Literal::Text("descr".into()), Literal::Text("<f4".into()))
+        );
         assert_eq!(entries[2].1.to_string(), "(3, 4, 5)");
     }
 
