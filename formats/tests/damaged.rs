@@ -52,8 +52,19 @@ fn survives(bytes: &[u8]) {
     assert!(peak < MOST_BYTES, "{peak} bytes were held");
 }
 
+/// `PROPTEST_CASES` asks for more.
+fn config() -> ProptestConfig {
+    const CASES: u32 = 600;
+    let default = ProptestConfig::default();
+    ProptestConfig {
+        cases: default.cases.max(CASES),
+        failure_persistence: None,
+        ..default
+    }
+}
+
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 600, failure_persistence: None, ..Default::default() })]
+    #![proptest_config(config())]
 
     #[test]
     fn a_cut_file_never_panics(which in 0..21_usize, keep in 0.0..1.0_f64) {

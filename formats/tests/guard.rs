@@ -149,3 +149,34 @@ fn released_planes_are_read_again_all_the_same() {
     assert!(before == after);
     voxels.check().unwrap();
 }
+
+/// Faults in a map that is not ours. Run in a process of its own by the test below.
+#[cfg(target_os = "linux")]
+#[test]
+#[ignore = "ends the program"]
+fn fault_elsewhere() {
+    let folder = Folder::new();
+    let _guarded = mapped(&folder, IoMode::Map, false);
+    let path = folder.write("other", &noise(8192));
+    let file = FileOptions::new()
+        .read(true)
+        .write(true)
+        .open(path)
+        .unwrap();
+    // SAFETY: cutting the file under this map is the very point: the fault must end the program.
+    let map = unsafe { memmap2::Mmap::map(&file).unwrap() };
+    file.set_len(0).unwrap();
+    println!("{}", map[5000]);
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_fault_in_a_foreign_map_still_ends_the_program() {
+    use std::os::unix::process::ExitStatusExt;
+    let status = std::process::Command::new(std::env::current_exe().unwrap())
+        .args(["--exact", "guard::fault_elsewhere", "--ignored"])
+        .output()
+        .unwrap()
+        .status;
+    assert_eq!(status.signal(), Some(libc::SIGBUS), "{status:?}");
+}

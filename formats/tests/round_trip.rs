@@ -11,6 +11,8 @@ use crate::support::{
 
 const DIMS: [u64; 3] = [5, 4, 7];
 
+type Packer = fn(&[u8]) -> Vec<u8>;
+
 fn types() -> Vec<DType> {
     VoxelType::ALL
         .into_iter()
@@ -239,8 +241,7 @@ fn nifti_is_read_in_every_type_version_and_byte_order() {
 fn nifti_pairs_are_read_from_either_file_in_any_compression() {
     let dtype = DType::big(VoxelType::I16);
     let voxels = voxels_of(dtype);
-    let packers: [(&str, fn(&[u8]) -> Vec<u8>); 3] =
-        [("", <[u8]>::to_vec), (".gz", gzip), (".zst", zstd)];
+    let packers: [(&str, Packer); 3] = [("", <[u8]>::to_vec), (".gz", gzip), (".zst", zstd)];
     for version in [1, 2] {
         let header = Nifti::new(version, DIMS, dtype).pair().bytes;
         for (h, pack_header) in packers {
@@ -373,4 +374,51 @@ fn mapped_planes_come_without_a_copy() {
         panic!("a file reads at random")
     };
     assert_eq!(random.planes(2, 3).unwrap(), None);
+}
+
+#[test]
+fn an_array_with_long_columns_is_transposed_whatever_the_gaps() {
+    // Columns of 40 000 bytes: rows are read one by one, and together where a box takes all.
+    let dims = [40, 3, 20_000];
+    let dtype = DType::little(VoxelType::U16);
+    let voxels = noise(2 * 40 * 3 * 20_000);
+    let file = npy(dims, dtype, 1, true, &transposed(dims, 2, &voxels));
+    let folder = Folder::new();
+    let path = folder.write("long.npy", &file);
+    for io in [IoMode::Map, IoMode::Read] {
+        let options = OpenOptions {
+            io,
+            ..Default::default()
+        };
+        let Voxels::Random(random) = open(&path, &options).unwrap().voxels else {
+            panic!("a plain file is read at random")
+        };
+        let mut out = Vec::new();
+        for (z, count) in [(0, 20_000), (17, 5), (19_999, 1), (3, 19_000)] {
+            let region = curvox_formats::Region {
+                origin: [0, 0, z],
+                size: [40, 3, count],
+            };
+            random.read_box(&region, &mut out).unwrap();
+            let (from, to) = (z as usize * 240, (z + count) as usize * 240);
+            assert!(out == voxels[from..to], "{io:?} {z} {count}");
+        }
+    }
+}
+
+#[test]
+fn an_image_said_to_be_raw_is_read_as_such_beside_a_header() {
+    let dtype = DType::little(VoxelType::U8);
+    let voxels = voxels_of(dtype);
+    let folder = Folder::new();
+    folder.write("a.hdr", &Nifti::new(1, [7, 4, 5], dtype).pair().bytes);
+    let path = folder.write("a.img", &voxels);
+    assert_eq!(
+        open(&path, &raw_options(DIMS, dtype)).unwrap().header.dims,
+        DIMS
+    );
+    assert_eq!(
+        open(&path, &OpenOptions::default()).unwrap().header.dims,
+        [7, 4, 5]
+    );
 }
