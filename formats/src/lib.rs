@@ -20,8 +20,9 @@
 //! ```
 //!
 //! The rooms, in the order of the data: `input` (bytes forward, decompressed), `map` (bytes
-//! mapped), one file a format (`raw`, `npy`, `vol`, `nifti`), `open` (which of them, and how),
-//! `stream` and `stored` (planes and boxes), [`write`] (small outputs), [`conformance`] (what
+//! mapped), one file a format (`npy`, `vol`, `nifti`), `detect` (which of
+//! them), `open` (how it is read),
+//! `stream` and `stored` (planes and boxes), [`mod@write`] (small outputs), [`conformance`] (what
 //! every reader must do).
 //!
 //! Guaranteed: the format is recognised by content, never by name; sizes from a file are checked
@@ -32,6 +33,8 @@
 #![cfg_attr(not(unix), allow(dead_code))]
 
 pub mod conformance;
+
+mod detect;
 
 mod error;
 
