@@ -13,7 +13,7 @@ use crate::sink::{Check, OutputInfo, RUN_FILE};
 use crate::volume::otsu::Values;
 
 use super::exit::{self, usage};
-use super::input::{self, InputArgs};
+use super::input::InputArgs;
 use super::{sizes, values};
 
 /// Arguments of `curvox info`.
@@ -53,7 +53,7 @@ pub(crate) fn run(args: &InfoArgs, stop: &AtomicBool) -> Result<()> {
         if args.check {
             return Err(usage("--check is for outputs of curvox, and this is none"));
         }
-        let volume = input::opened(&args.input)?;
+        let volume = args.input.open()?;
         let values = if args.values {
             if !volume.source.re_readable {
                 return Err(usage(format!(
@@ -68,7 +68,7 @@ pub(crate) fn run(args: &InfoArgs, stop: &AtomicBool) -> Result<()> {
         of_volume(&volume, values.as_ref())
     };
     if args.json {
-        exit::print(&format!("{told:#}\n"))
+        exit::print(&format!("{:#}\n", as_json(told)))
     } else {
         exit::print(&as_text(&told))
     }
@@ -85,85 +85,109 @@ fn is_output(path: &Path) -> bool {
         .is_ok_and(|()| magic == *b"PAR1")
 }
 
-fn of_volume(volume: &Volume, values: Option<&Values>) -> Value {
+/// Fields in the order they are told.
+type Fields = Vec<(&'static str, Value)>;
+
+fn of_volume(volume: &Volume, values: Option<&Values>) -> Fields {
     let (header, source) = (&volume.header, &volume.source);
     let access = match (&volume.voxels, source.mapped) {
         (Voxels::Random(_), true) => "mapped",
         (Voxels::Random(_), false) => "read at offsets",
         (Voxels::Forward(_), _) => "read once, forward",
     };
-    let mut told = json!({
-        "kind": "volume",
-        "name": source.name,
-        "format": header.format.name(),
-        "dims": header.dims,
-        "dtype": header.dtype().to_string(),
-        "spacing": header.spacing,
-        "unit": header.unit.to_string(),
-        "origin": header.origin,
-        "direction": header.direction,
-        "scaling": header.scaling.map(|s| json!({"slope": s.slope, "intercept": s.intercept})),
-        "compressed": source.compressed,
-        "access": access,
-        "file_bytes": source.length_bytes,
-        "voxels_bytes": header.voxels_bytes(),
-        "warnings": header.warnings,
-    });
+    let mut told = vec![
+        ("kind", json!("volume")),
+        ("name", json!(source.name)),
+        ("format", json!(header.format.name())),
+        ("dims", json!(header.dims)),
+        ("dtype", json!(header.dtype().to_string())),
+        ("spacing", json!(header.spacing)),
+        ("unit", json!(header.unit.to_string())),
+        ("origin", json!(header.origin)),
+        ("direction", json!(header.direction)),
+        (
+            "scaling",
+            json!(header.scaling.map(|s| [s.slope, s.intercept])),
+        ),
+        ("compressed", json!(source.compressed)),
+        ("access", json!(access)),
+        ("file_bytes", json!(source.length_bytes)),
+        ("voxels_bytes", json!(header.voxels_bytes())),
+        ("warnings", json!(header.warnings)),
+    ];
     if let Some(values) = values {
-        told["values"] = json!({
-            "min": values.min,
-            "max": values.max,
-            "mean": values.mean,
-            "nan": values.nan,
-            "infinite": values.infinite,
-            "otsu_threshold": values.otsu,
-        });
+        told.extend([
+            ("min", json!(values.min)),
+            ("max", json!(values.max)),
+            ("mean", json!(values.mean)),
+            ("nan_voxels", json!(values.nan)),
+            ("infinite_voxels", json!(values.infinite)),
+            ("otsu_threshold", json!(values.otsu)),
+        ]);
     }
     told
 }
 
-fn of_output(output: &OutputInfo) -> Value {
+fn of_output(output: &OutputInfo) -> Fields {
     let run = output.run.as_ref();
+    let table = output.table.as_ref();
     let columns: Vec<_> = output
         .columns
         .iter()
         .map(|(name, kind)| json!({"name": name, "type": kind}))
         .collect();
-    let summary = output.summary.as_ref();
-    let part_of = |field: &str| summary.map_or(Value::Null, |s| s[field].clone());
-    json!({
-        "kind": "output",
-        "name": output.path,
-        "state": run.map_or_else(|| json!("single file"), |run| json!(run.state)),
-        "message": run.and_then(|run| run.message.clone()),
-        "rows": output.rows,
-        "bytes": output.bytes,
-        "files": output.files.len(),
-        "parts_done": run.map(|run| run.parts.len()),
-        "parts_total": run.map(|run| run.parts_total),
-        "columns": columns,
-        "dims": output.table.as_ref().map(|t| t.dims),
-        "spacing": output.table.as_ref().map(|t| t.spacing),
-        "unit": output.table.as_ref().map(|t| t.unit.clone()),
-        "radii": output.table.as_ref().map(|t| t.radii.clone()),
-        "parameters": output.table.as_ref().map(|t| t.parameters.clone()),
-        "version": output.table.as_ref().map(|t| t.version.clone()),
-        "totals": part_of("exact"),
-        "warnings": part_of("warnings"),
-    })
+    let part_of = |field: &str| {
+        output
+            .summary
+            .as_ref()
+            .map_or(Value::Null, |s| s[field].clone())
+    };
+    vec![
+        ("kind", json!("output")),
+        ("name", json!(output.path)),
+        (
+            "state",
+            run.map_or_else(|| json!("single file"), |run| json!(run.state)),
+        ),
+        ("message", json!(run.and_then(|run| run.message.clone()))),
+        ("version", json!(table.map(|t| &t.version))),
+        ("dims", json!(table.map(|t| t.dims))),
+        ("spacing", json!(table.map(|t| t.spacing))),
+        ("unit", json!(table.map(|t| &t.unit))),
+        ("rows", json!(output.rows)),
+        ("bytes", json!(output.bytes)),
+        ("files", json!(output.files.len())),
+        ("parts_done", json!(run.map(|run| run.parts.len()))),
+        ("parts_total", json!(run.map(|run| run.parts_total))),
+        ("columns", json!(columns)),
+        ("radii", json!(table.map(|t| &t.radii))),
+        ("parameters", json!(table.map(|t| &t.parameters))),
+        ("totals", part_of("exact")),
+        ("warnings", part_of("warnings")),
+    ]
+}
+
+/// The fields as one JSON object.
+fn as_json(told: Fields) -> Value {
+    Value::Object(
+        told.into_iter()
+            .map(|(name, value)| (name.to_owned(), value))
+            .collect(),
+    )
 }
 
 /// One line a field; nested fields indented, empty ones left out.
-fn as_text(told: &Value) -> String {
+fn as_text(told: &Fields) -> String {
     let mut text = String::new();
-    lines(told, 0, &mut text);
+    lines(
+        told.iter().map(|(name, value)| (*name, value)),
+        0,
+        &mut text,
+    );
     text
 }
 
-fn lines(told: &Value, indent: usize, out: &mut String) {
-    let Some(fields) = told.as_object() else {
-        return;
-    };
+fn lines<'a>(fields: impl Iterator<Item = (&'a str, &'a Value)>, indent: usize, out: &mut String) {
     for (name, value) in fields {
         let name = name.replace('_', " ");
         let pad = " ".repeat(indent);
@@ -171,15 +195,30 @@ fn lines(told: &Value, indent: usize, out: &mut String) {
         let _ = match value {
             Value::Null => Ok(()),
             Value::Array(items) if items.is_empty() => Ok(()),
-            Value::Object(_) => {
+            Value::Object(inner) => {
                 let done = writeln!(out, "{pad}{name}");
-                lines(value, indent + 2, out);
+                let inner: Vec<_> = inner
+                    .iter()
+                    .map(|(name, value)| (name.as_str(), value))
+                    .collect();
+                lines(inner.into_iter(), indent + 2, out);
                 done
             }
             Value::Array(items) if name == "columns" => {
                 let names: Vec<_> = items.iter().filter_map(|c| c["name"].as_str()).collect();
                 writeln!(out, "{pad}{name:<18} {}", names.join(" "))
             }
+            Value::Array(items) if name == "radii" => items.iter().try_for_each(|radius| {
+                let text = |field: &str| radius[field].to_string();
+                writeln!(
+                    out,
+                    "{pad}{:<18} {} = {} voxels = {} in the world",
+                    "radius",
+                    radius["label"].as_str().unwrap_or_default(),
+                    text("voxels"),
+                    text("world")
+                )
+            }),
             Value::Array(items) if items.iter().all(Value::is_string) => {
                 let texts = items.iter().filter_map(Value::as_str);
                 texts

@@ -100,10 +100,10 @@ pub fn main() -> ExitCode {
             let code = exit::code(&error);
             if code != exit::DONE {
                 let text = if json {
-                    json!({"event": "error", "code": code, "message": format!("{error:#}")})
+                    json!({"event": "error", "code": code, "message": exit::message(&error)})
                         .to_string()
                 } else {
-                    format!("curvox: {error:#}")
+                    format!("curvox: {}", exit::message(&error))
                 };
                 // Nobody may be reading; the code says it all the same.
                 let _ = writeln!(std::io::stderr(), "{text}");
