@@ -163,12 +163,15 @@ impl Input {
     /// Appends up to `count` bytes to `out`, fewer only at the end. `out` grows with the bytes
     /// that are really there, not with `count`.
     pub(crate) fn append(&mut self, count: u64, out: &mut Vec<u8>) -> io::Result<u64> {
+        /// Room made before anything was read; smaller steps only cost calls.
         const STEP_BYTES: u64 = 8 << 20;
         let mut done = 0;
         while done < count {
-            let step = usize::try_from((count - done).min(STEP_BYTES)).unwrap_or(usize::MAX);
+            // Doubling, but never beyond `count`: the caller's budget counts capacity, too.
+            let step = (count - done).min(STEP_BYTES.max(done));
+            let step = usize::try_from(step).unwrap_or(usize::MAX);
             let before = out.len();
-            out.try_reserve(step).map_err(|_| {
+            out.try_reserve_exact(step).map_err(|_| {
                 let e = io::Error::new(io::ErrorKind::OutOfMemory, "memory is exhausted");
                 io::Error::new(e.kind(), SystemError(e))
             })?;

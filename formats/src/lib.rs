@@ -20,8 +20,9 @@
 //! ```
 //!
 //! The rooms, in the order of the data: `input` (bytes forward, decompressed), `map` (bytes
-//! mapped), one file a format (`raw`, `npy`, `vol`, `nifti`), `open` (which of them, and how),
-//! `stream` and `stored` (planes and boxes), [`write`] (small outputs), [`conformance`] (what
+//! mapped), one file a format (`npy`, `vol`, `nifti`), `detect` (which of
+//! them), `open` (how it is read),
+//! `stream` and `stored` (planes and boxes), [`mod@write`] (small outputs), [`conformance`] (what
 //! every reader must do).
 //!
 //! Guaranteed: the format is recognised by content, never by name; sizes from a file are checked
@@ -29,9 +30,12 @@
 //! allocation. Not guaranteed: that voxel values make sense (NaN, bytes other than 0 and 1 in a
 //! `bool`), which is for whoever interprets them.
 
+// Without the SIGBUS guard some helpers of the map have no use.
 #![cfg_attr(not(unix), allow(dead_code))]
 
 pub mod conformance;
+
+mod detect;
 
 mod error;
 

@@ -524,8 +524,7 @@ fn sform(fields: &Fields, header: &mut Header, name: &str) -> bool {
             "{name}: the axes of the sform are not orthogonal (sheared); voxels are taken as \
              boxes of the size in pixdim"
         ));
-    }
-    if let Some(spacing) = header.spacing
+    } else if let Some(spacing) = header.spacing
         && (0..3).any(|a| (lengths[a] - spacing[a]).abs() > ROUNDING * spacing[a])
     {
         header.warnings.push(format!(

@@ -6,13 +6,14 @@
 //! that cannot run forward is held in memory, up to a limit.
 //!
 //! A format module gives a [`Parsed`] header: what the volume is and where its voxels start. To
-//! add a format, recognise it in `detect` and parse it there; chunked formats implement
+//! add a format, recognise it in `detect` and parse it here; chunked formats implement
 //! [`RandomVoxels`](crate::RandomVoxels) themselves.
 
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
+use crate::detect::detect;
 use crate::error::Error;
 use crate::header::{DType, Format, Header, Unit, VoxelType, voxel_count};
 use crate::input::{Compression, DEFLATE_MOST, Input, read_error};
@@ -163,7 +164,9 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<Volume, Error> {
     if !metadata.is_file() {
         return open_stream(Box::new(file), &name, options);
     }
-    if let Some(header) = nifti::header_of_image(path) {
+    // Opened by its voxels, a pair is found by its header, unless these are said to be raw.
+    let raw = options.raw.is_some() || options.format == Some(Format::Raw);
+    if !raw && let Some(header) = nifti::header_of_image(path) {
         return open(&header, options);
     }
     let place = Place {
@@ -323,13 +326,7 @@ impl Place<'_> {
         let available = length.saturating_sub(offset);
         if available < bytes {
             let plane = header.plane_bytes().unwrap_or(u64::MAX);
-            return Err(ends_early(
-                self.name,
-                length.min(offset),
-                available,
-                bytes,
-                plane,
-            ));
+            return Err(ends_early(self.name, length, available, bytes, plane));
         }
         // Checked by the format: all frames together fit `u64`.
         let used = bytes.saturating_mul(frames_behind.saturating_add(1));
@@ -585,73 +582,6 @@ fn parse_raw(context: &Context<'_>) -> Result<Parsed, Error> {
 pub(crate) fn is_plausible_spacing(spacing: f64) -> bool {
     const BOUNDS: std::ops::RangeInclusive<f64> = 1e-15..=1e15;
     BOUNDS.contains(&spacing)
-}
-
-/// Formats that are recognised in order to be refused by name: (offset, magic, name).
-const OTHER_FORMATS: [(usize, &[u8], &str); 22] = [
-    (0, b"II*\0", "TIFF"),
-    (0, b"MM\0*", "TIFF"),
-    (0, b"II+\0", "BigTIFF"),
-    (0, b"MM\0+", "BigTIFF"),
-    (0, b"NRRD0", "NRRD"),
-    (0, b"\x89HDF\r\n\x1a\n", "HDF5 (or MINC 2)"),
-    (0, b" BDV", "OpenVDB"),
-    (0, b"PK\x03\x04", "zip (or .npz)"),
-    (0, b"ObjectType", "MetaImage"),
-    (0, b"NDims", "MetaImage"),
-    (0, b"# vtk DataFile", "VTK"),
-    (0, b"<?xml", "XML"),
-    (0, b"<VTKFile", "VTK XML"),
-    (0, b"CDF\x01", "NetCDF (or MINC 1)"),
-    (0, b"CDF\x02", "NetCDF"),
-    (0, b"\x89PNG", "PNG"),
-    (0, b"\xff\xd8\xff", "JPEG"),
-    (0, b"BZh", "bzip2"),
-    (0, b"\xfd7zXZ\0", "xz"),
-    (128, b"DICM", "DICOM"),
-    (208, b"MAP ", "MRC"),
-    (0, b"P", "PGM3D"),
-];
-
-/// The format of the content, or an error that says what it looks like.
-fn detect(input: &mut Input, context: &Context<'_>) -> Result<Format, Error> {
-    /// Enough for every magic number, and for the first lines of a text header.
-    const HEAD_BYTES: usize = 1024;
-    let head = input
-        .peek(HEAD_BYTES)
-        .map_err(|e| read_error(context.name, 0, e))?;
-    if head.starts_with(npy::MAGIC) {
-        return Ok(Format::Npy);
-    }
-    if let Some(format) = nifti::detect(head) {
-        return Ok(format);
-    }
-    if let Some(format) = vol::detect(head) {
-        return Ok(format);
-    }
-    for (offset, magic, name) in OTHER_FORMATS {
-        let found = head.get(offset..).is_some_and(|h| h.starts_with(magic));
-        // "P2" or "P5" and not just any text in P.
-        let found = found && (name != "PGM3D" || matches!(head, [_, b'2' | b'5', ..]));
-        if found {
-            return Err(Error::unsupported(
-                context.name,
-                format!("the content looks like {name}, which is not read here"),
-            ));
-        }
-    }
-    if Compression::detect(head).is_some() {
-        return Err(Error::unsupported(context.name, "is compressed twice"));
-    }
-    let shown: Vec<_> = head.iter().take(8).map(|b| format!("{b:02x}")).collect();
-    Err(Error::unsupported(
-        context.name,
-        format!(
-            "the format is not recognised (first bytes {}); expected .npy, .vol, .longvol or \
-             NIfTI, or give dimensions and type of a file without header",
-            shown.join(" ")
-        ),
-    ))
 }
 
 /// Refuses extents that no memory or file can have.

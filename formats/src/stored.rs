@@ -152,32 +152,61 @@ impl StoredVoxels {
         /// Columns of x transposed together: writes then fill whole cache lines. Fewer waste
         /// them, more columns than this no longer fit the first-level cache.
         const TILE: usize = 32;
+        /// Rows are read together up to this size ...
+        const SPAN_BYTES: usize = 128 << 10;
+        /// ... if no more than this lies unused between them: a page or two is read anyway.
+        const GAP_BYTES: usize = 16 << 10;
         /// Mapped bytes touched before they are given back.
         const RELEASE_BYTES: u64 = 16 << 20;
         let [_, ny, nz] = self.dims;
         let [x0, y0, z0] = region.origin;
         let too_large = || Error::unsupported(&self.name, "the box does not fit memory");
-        let size = |a: usize| usize::try_from(region.size[a]).map_err(|_| too_large());
-        let (sx, sy, sz) = (size(0)?, size(1)?, size(2)?);
+        let size = |n: u64| usize::try_from(n).map_err(|_| too_large());
+        let (sx, sy, sz) = (
+            size(region.size[0])?,
+            size(region.size[1])?,
+            size(region.size[2])?,
+        );
         let at = |x: u64, y: u64| self.offset + ((x * ny + y) * nz + z0) * B as u64;
-        let run_bytes = sz.checked_mul(B).ok_or_else(too_large)?;
-        let mut tile = vec![0; run_bytes.checked_mul(TILE.min(sx)).ok_or_else(too_large)?];
+        let run = sz.checked_mul(B).ok_or_else(too_large)?;
+        let stride = size(nz * B as u64)?;
+        let rows = if stride - run <= GAP_BYTES {
+            (SPAN_BYTES / stride).clamp(1, sy)
+        } else {
+            1
+        };
+
+        // Only a file that is read needs buffers; mapped bytes are used where they are.
+        let span_most = (rows - 1) * stride + run;
+        let reads = matches!(self.bytes, Bytes::File { .. });
+        let mut buffers = vec![vec![0; if reads { span_most } else { 0 }]; TILE.min(sx)];
         let mut touched = 0;
         for first in (0..sx).step_by(TILE) {
             let columns = TILE.min(sx - first);
-            for y in 0..sy {
-                for (c, run) in tile.chunks_exact_mut(run_bytes).take(columns).enumerate() {
-                    self.copy(at(x0 + (first + c) as u64, y0 + y as u64), run)?;
+            for y in (0..sy).step_by(rows) {
+                let rows = rows.min(sy - y);
+                let span = (rows - 1) * stride + run;
+                let mut spans: [&[u8]; TILE] = [&[]; TILE];
+                for (c, buffer) in buffers.iter_mut().take(columns).enumerate() {
+                    let start = at(x0 + (first + c) as u64, y0 + y as u64);
+                    spans[c] = if reads {
+                        self.copy(start, &mut buffer[..span])?;
+                        &buffer[..span]
+                    } else {
+                        self.slice(start, span as u64)?.unwrap_or_default()
+                    };
                 }
-                for z in 0..sz {
-                    let row = ((z * sy + y) * sx + first) * B;
-                    let row = &mut out[row..row + columns * B];
-                    for (c, voxel) in row.chunks_exact_mut(B).enumerate() {
-                        voxel.copy_from_slice(&tile[c * run_bytes + z * B..][..B]);
+                for row in 0..rows {
+                    for z in 0..sz {
+                        let to = ((z * sy + y + row) * sx + first) * B;
+                        let from = row * stride + z * B;
+                        let to = out[to..to + columns * B].chunks_exact_mut(B);
+                        for (voxel, span) in to.zip(&spans) {
+                            voxel.copy_from_slice(&span[from..from + B]);
+                        }
                     }
                 }
             }
-            // Each run touches its pages alone when nz is large, so count the span, not the runs.
             touched += (columns as u64).saturating_mul(ny * nz * B as u64);
             if touched >= RELEASE_BYTES || first + columns >= sx {
                 touched = 0;

@@ -1,0 +1,77 @@
+//! Which format a file has, by its content.
+//!
+//! In: the first bytes, decompressed. Out: a format that is read here, or an error that names
+//! the one the content looks like. Names and extensions are not consulted.
+
+use crate::error::Error;
+use crate::header::Format;
+use crate::input::{Compression, Input, read_error};
+use crate::open::Context;
+use crate::{nifti, npy, vol};
+
+/// Formats that are recognised in order to be refused by name: (offset, magic, name).
+const OTHER_FORMATS: [(usize, &[u8], &str); 22] = [
+    (0, b"II*\0", "TIFF"),
+    (0, b"MM\0*", "TIFF"),
+    (0, b"II+\0", "BigTIFF"),
+    (0, b"MM\0+", "BigTIFF"),
+    (0, b"NRRD0", "NRRD"),
+    (0, b"\x89HDF\r\n\x1a\n", "HDF5 (or MINC 2)"),
+    (0, b" BDV", "OpenVDB"),
+    (0, b"PK\x03\x04", "zip (or .npz)"),
+    (0, b"ObjectType", "MetaImage"),
+    (0, b"NDims", "MetaImage"),
+    (0, b"# vtk DataFile", "VTK"),
+    (0, b"<?xml", "XML"),
+    (0, b"<VTKFile", "VTK XML"),
+    (0, b"CDF\x01", "NetCDF (or MINC 1)"),
+    (0, b"CDF\x02", "NetCDF"),
+    (0, b"\x89PNG", "PNG"),
+    (0, b"\xff\xd8\xff", "JPEG"),
+    (0, b"BZh", "bzip2"),
+    (0, b"\xfd7zXZ\0", "xz"),
+    (128, b"DICM", "DICOM"),
+    (208, b"MAP ", "MRC"),
+    (0, b"P", "PGM3D"),
+];
+
+/// The format of the content, or an error that says what it looks like.
+pub(crate) fn detect(input: &mut Input, context: &Context<'_>) -> Result<Format, Error> {
+    /// Enough for every magic number, and for the first lines of a text header.
+    const HEAD_BYTES: usize = 1024;
+    let head = input
+        .peek(HEAD_BYTES)
+        .map_err(|e| read_error(context.name, 0, e))?;
+    if head.starts_with(npy::MAGIC) {
+        return Ok(Format::Npy);
+    }
+    if let Some(format) = nifti::detect(head) {
+        return Ok(format);
+    }
+    if let Some(format) = vol::detect(head) {
+        return Ok(format);
+    }
+    for (offset, magic, name) in OTHER_FORMATS {
+        let found = head.get(offset..).is_some_and(|h| h.starts_with(magic));
+        // "P2" or "P5" and not just any text in P.
+        let found = found && (name != "PGM3D" || matches!(head, [_, b'2' | b'5', ..]));
+        if found {
+            return Err(Error::unsupported(
+                context.name,
+                format!("the content looks like {name}, which is not read here"),
+            ));
+        }
+    }
+    if Compression::detect(head).is_some() {
+        return Err(Error::unsupported(context.name, "is compressed twice"));
+    }
+    let shown: Vec<_> = head.iter().take(8).map(|b| format!("{b:02x}")).collect();
+    Err(Error::unsupported(
+        context.name,
+        format!(
+            "the format is not recognised (first bytes {}); expected .npy, .vol, .longvol or \
+             NIfTI, or give dimensions and type of a file without header",
+            shown.join(" ")
+        ),
+    ))
+}

@@ -1,0 +1,33 @@
+//! The tests of this crate, as one binary.
+//!
+//! Files are made by the tests themselves. Tests that read the shared folder of volumes find it
+//! through `CURVOX_TEST_DATA` and say so when they are skipped.
+
+#![allow(unreachable_pub)]
+
+/// Files made in memory, temporary folders, and other tools of the tests.
+mod support;
+
+/// SHA-256, to compare volumes with the sums in the manifest.
+mod sha256;
+
+/// What is written is read back: every type, order, byte order, version and compression.
+mod round_trip;
+
+/// A pipe gives what the file gives.
+mod streams;
+
+/// Headers that say strange things.
+mod headers;
+
+/// Damage of any kind is an error, in bounded memory.
+mod damaged;
+
+/// Files that change while they are mapped.
+mod guard;
+
+/// The shared folder: same volumes in many formats, broken files, real files.
+mod shared;
+
+/// Figures, not checks: run with `--release -- --ignored --nocapture speed`.
+mod speed;

@@ -1,0 +1,125 @@
+//! Figures, not checks, on one thread: run with `--release -- --ignored --nocapture speed`.
+
+use curvox_formats::{DType, IoMode, OpenOptions, Region, VoxelType, Voxels, open};
+
+use crate::support::{Folder, gzip, npy, transposed, vol, zstd};
+
+/// A ball in weak noise: compresses like a scan, about 4 to 1.
+fn scan(edge: u64) -> Vec<u8> {
+    let mut state = 1_u32;
+    let middle = edge as f64 / 2.0;
+    let mut out = Vec::new();
+    for z in 0..edge {
+        for y in 0..edge {
+            for x in 0..edge {
+                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                let [dx, dy, dz] = [x, y, z].map(|v| v as f64 - middle);
+                let inside = (dx * dx + dy * dy + dz * dz).sqrt() < 0.4 * edge as f64;
+                out.push(if inside { 180 } else { 20 } + (state >> 30) as u8);
+            }
+        }
+    }
+    out
+}
+
+/// Seconds this thread has run: a busy machine does not change them.
+#[cfg(unix)]
+fn cpu_seconds() -> f64 {
+    let mut time = libc::timespec {
+        tv_sec: 0,
+        tv_nsec: 0,
+    };
+    // SAFETY: the clock exists, and `time` is filled by the call.
+    unsafe { libc::clock_gettime(libc::CLOCK_THREAD_CPUTIME_ID, &mut time) };
+    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
+}
+
+fn resident_mib() -> f64 {
+    let text = std::fs::read_to_string("/proc/self/statm").unwrap_or_default();
+    let pages: f64 = text
+        .split(' ')
+        .nth(1)
+        .and_then(|n| n.parse().ok())
+        .unwrap_or(0.0);
+    pages * 4096.0 / f64::from(1 << 20)
+}
+
+#[cfg(unix)]
+#[test]
+#[ignore = "prints figures"]
+fn speed() {
+    const EDGE: u64 = 400;
+    let dims = [EDGE; 3];
+    let voxels = scan(EDGE);
+    let dtype = DType::little(VoxelType::U8);
+    let plain = npy(dims, dtype, 1, false, &voxels);
+    let stored = npy(dims, dtype, 1, true, &transposed(dims, 1, &voxels));
+    let folder = Folder::new();
+    let report = |what: &str, start: f64, peak: f64| {
+        let seconds = cpu_seconds() - start;
+        let rate = voxels.len() as f64 / 1e6 / seconds;
+        println!("{what:<28} {rate:>8.0} MB per CPU second, resident peak +{peak:.0} MiB");
+    };
+    for (what, bytes) in [
+        ("npy.gz forward", gzip(&plain)),
+        ("npy.zst forward", zstd(&plain)),
+        ("vol v3 forward", vol(dims, 3, &voxels)),
+    ] {
+        let path = folder.write(what, &bytes);
+        drop(bytes);
+        let base = resident_mib();
+        let start = cpu_seconds();
+        let mut planes = open(&path, &OpenOptions::default()).unwrap().into_forward();
+        let (mut some, mut peak) = (Vec::new(), 0.0_f64);
+        while planes.read_planes(16, &mut some).unwrap() > 0 {
+            peak = peak.max(resident_mib() - base);
+        }
+        planes.finish().unwrap();
+        report(what, start, peak);
+    }
+    for (what, bytes) in [("npy", &plain), ("npy fortran", &stored)] {
+        let path = folder.write(what, bytes);
+        for io in [IoMode::Map, IoMode::Read] {
+            let options = OpenOptions {
+                io,
+                ..Default::default()
+            };
+            let Voxels::Random(random) = open(&path, &options).unwrap().voxels else {
+                panic!("a plain file is read at random")
+            };
+            for (name, boxes) in [("planes", false), ("boxes", true)] {
+                let base = resident_mib();
+                let start = cpu_seconds();
+                let (mut sum, mut some, mut peak) = (0_u64, Vec::new(), 0.0_f64);
+                for z in (0..EDGE).step_by(16) {
+                    let add = |bytes: &[u8]| {
+                        bytes
+                            .chunks_exact(8)
+                            .map(|c| u64::from_le_bytes(c.try_into().unwrap()))
+                            .fold(0_u64, u64::wrapping_add)
+                    };
+                    let direct = if boxes {
+                        None
+                    } else {
+                        random.planes(z, 16).unwrap()
+                    };
+                    if let Some(bytes) = direct {
+                        sum = sum.wrapping_add(add(bytes));
+                        random.check().unwrap();
+                    } else {
+                        let region = Region {
+                            origin: [0, 0, z],
+                            size: [EDGE, EDGE, 16],
+                        };
+                        random.read_box(&region, &mut some).unwrap();
+                        sum = sum.wrapping_add(add(&some));
+                    }
+                    peak = peak.max(resident_mib() - base);
+                    random.release(z + 16);
+                }
+                std::hint::black_box(sum);
+                report(&format!("{what} {io:?} {name}"), start, peak);
+            }
+        }
+    }
+}
