@@ -1,3 +1,5 @@
 //! The `curvox` binary.
 
-fn main() {}
+fn main() -> std::process::ExitCode {
+    curvox::cli::main()
+}

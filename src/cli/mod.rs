@@ -1,1 +1,114 @@
-//! The command line.
+//! The command line: arguments, exit codes, progress, reports. Nothing numerical.
+//!
+//! Comes in: the arguments of the process. Goes out: an exit code; results where `-o` says,
+//! messages on standard error. One file for each subcommand; what they share: `input`, `method`,
+//! `output` (options), `job` (a run made ready), `lengths` and `sizes` (what is typed),
+//! `conventions` (what is said), `exit`, `signals`, `progress`, `report`.
+
+mod conventions;
+mod exit;
+mod input;
+mod job;
+mod lengths;
+mod method;
+mod output;
+mod progress;
+mod report;
+mod run;
+mod signals;
+mod sizes;
+mod values;
+
+use std::io::Write;
+use std::process::ExitCode;
+
+use clap::{ArgAction, Parser, Subcommand};
+use serde_json::json;
+
+/// Arguments of the process.
+#[derive(Parser, Debug)]
+#[command(
+    name = "curvox",
+    version,
+    about = "Corrected curvature of the boundary of what is in a 3D image, of any size",
+    arg_required_else_help = true,
+    max_term_width = 100
+)]
+struct Cli {
+    /// Say more on standard error: -v steps, -vv details
+    #[arg(short, long, action = ArgAction::Count, global = true, help_heading = "Messages")]
+    verbose: u8,
+
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand, Debug)]
+enum Command {
+    /// Compute curvatures of the boundary of what is in a volume
+    Run(Box<run::RunArgs>),
+}
+
+/// The whole program.
+#[must_use]
+pub fn main() -> ExitCode {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => {
+            // Help goes to standard output with code 0, mistakes to standard error with 2.
+            let code = if error.use_stderr() {
+                exit::USAGE
+            } else {
+                exit::DONE
+            };
+            let _ = error.print();
+            return ExitCode::from(code);
+        }
+    };
+    log_to_stderr(cli.verbose);
+    let json = cli.command.json();
+    match signals::stop_flag().and_then(|stop| cli.command.run(cli.verbose > 0, &stop)) {
+        Ok(()) => ExitCode::from(exit::DONE),
+        Err(error) => {
+            let code = exit::code(&error);
+            if code != exit::DONE {
+                let text = if json {
+                    json!({"event": "error", "code": code, "message": format!("{error:#}")})
+                        .to_string()
+                } else {
+                    format!("curvox: {error:#}")
+                };
+                // Nobody may be reading; the code says it all the same.
+                let _ = writeln!(std::io::stderr(), "{text}");
+            }
+            ExitCode::from(code)
+        }
+    }
+}
+
+impl Command {
+    /// Whether messages are to be JSON.
+    fn json(&self) -> bool {
+        match self {
+            Command::Run(args) => args.job.output.json,
+        }
+    }
+
+    fn run(&self, verbose: bool, stop: &std::sync::atomic::AtomicBool) -> anyhow::Result<()> {
+        match self {
+            Command::Run(args) => run::run(args, verbose, stop),
+        }
+    }
+}
+
+fn log_to_stderr(verbose: u8) {
+    let level = match verbose {
+        0 => return,
+        1 => tracing::Level::INFO,
+        _ => tracing::Level::DEBUG,
+    };
+    tracing_subscriber::fmt()
+        .with_writer(std::io::stderr)
+        .with_max_level(level)
+        .init();
+}

@@ -7,6 +7,7 @@
 mod bits;
 mod criterion;
 mod euler;
+pub mod otsu;
 
 pub use bits::{BitBox, BitPlane, PlaneWindow};
 pub use criterion::{Binarizer, Criterion, CriterionError, Number};

@@ -1,0 +1,270 @@
+//! The input: which file, how it is read, which voxels are inside.
+
+use std::io::IsTerminal;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use clap::{Args, ValueEnum};
+use curvox_formats::{
+    DType, Format, IoMode, OpenOptions, RawLayout, Unit, Volume, VoxelType, open, open_stream,
+};
+
+use crate::lattice::{Lattice, LatticeError};
+use crate::volume::{Criterion, Number};
+
+use super::exit::{BadInput, usage};
+use super::lengths::{self, Spacing};
+
+/// Standard input on the command line.
+pub(crate) const STDIN: &str = "-";
+
+/// Options of the input.
+#[derive(Args, Clone, Debug)]
+pub(crate) struct InputArgs {
+    /// Volume to read: a file, or - for standard input
+    ///
+    /// NIfTI (.nii, .nii.gz, .hdr/.img), NumPy (.npy), DGtal (.vol, .longvol), raw; gzip and zstd are
+    /// undone on the way. The format is recognised by the content, not the name.
+    #[arg(value_name = "INPUT")]
+    pub(crate) input: PathBuf,
+
+    /// Format, instead of recognising it: raw, npy, vol, longvol, nifti1, nifti2
+    #[arg(long, value_name = "FORMAT", help_heading = "Input")]
+    format: Option<Format>,
+
+    /// Voxels along x, y, z of a file without a header
+    #[arg(long, value_name = "X,Y,Z", value_parser = lengths::dims, requires = "dtype", help_heading = "Input")]
+    dims: Option<[u64; 3]>,
+
+    /// Voxel type of a file without a header: u8, i16, u16le, f32be, ...
+    #[arg(long, value_name = "TYPE", requires = "dims", help_heading = "Input")]
+    dtype: Option<DType>,
+
+    /// Bytes before the first voxel of a file without a header
+    #[arg(long, value_name = "N", requires = "dims", help_heading = "Input")]
+    skip: Option<u64>,
+
+    /// Size of a voxel with its unit, instead of what the file says: 1,1,2um or 0.5mm
+    #[arg(long, value_name = "X,Y,Z+UNIT", help_heading = "Input")]
+    spacing: Option<Spacing>,
+
+    /// Which volume of a file with several, from 0
+    #[arg(long, value_name = "N", help_heading = "Input")]
+    frame: Option<u64>,
+
+    /// How a plain file is read: map (mapped), read (at offsets), auto (read on network file systems)
+    #[arg(long, value_enum, default_value = "auto", help_heading = "Input")]
+    io: Io,
+}
+
+#[derive(ValueEnum, Clone, Copy, Debug)]
+enum Io {
+    Map,
+    Read,
+    Auto,
+}
+
+impl InputArgs {
+    /// Whether the input is standard input.
+    pub(crate) fn is_stdin(&self) -> bool {
+        self.input == Path::new(STDIN)
+    }
+
+    /// The name of the input in messages.
+    pub(crate) fn name(&self) -> String {
+        if self.is_stdin() {
+            "standard input".into()
+        } else {
+            self.input.display().to_string()
+        }
+    }
+
+    fn options(&self) -> Result<OpenOptions> {
+        let raw = match (self.dims, self.dtype) {
+            (Some(dims), Some(dtype)) => {
+                if let Some(format) = self.format.filter(|&f| f != Format::Raw) {
+                    return Err(usage(format!(
+                        "--dims and --dtype are for files without a header; --format {format} has one"
+                    )));
+                }
+                let spacing = self.spacing;
+                Some(RawLayout {
+                    dims,
+                    dtype,
+                    spacing: spacing.map(|s| s.edges),
+                    unit: spacing.map_or(Unit::Unknown, |s| s.unit),
+                    skip: self.skip.unwrap_or(0),
+                })
+            }
+            _ if self.format == Some(Format::Raw) => {
+                return Err(usage(
+                    "--format raw needs the layout: --dims X,Y,Z --dtype u16le, and --spacing 1,1,2um if known",
+                ));
+            }
+            _ => None,
+        };
+        Ok(OpenOptions {
+            format: self.format,
+            raw,
+            io: match self.io {
+                Io::Map => IoMode::Map,
+                Io::Read => IoMode::Read,
+                Io::Auto => IoMode::Auto,
+            },
+            frame: self.frame,
+            ..OpenOptions::default()
+        })
+    }
+
+    /// Opens the volume; its header is as the command line says where that overrides the file.
+    pub(crate) fn open(&self) -> Result<Volume> {
+        let options = self.options()?;
+        let mut volume = if self.is_stdin() {
+            if std::io::stdin().is_terminal() {
+                return Err(usage(
+                    "standard input is a terminal; name a file, or pipe a volume in",
+                ));
+            }
+            open_stream(Box::new(std::io::stdin()), &self.name(), &options)?
+        } else {
+            open(&self.input, &options)?
+        };
+        if let Some(Spacing { edges, unit }) = self.spacing {
+            let header = &mut volume.header;
+            if header.origin != [0.0; 3] && header.unit != unit {
+                if let Some(ratio) = lengths::ratio(header.unit, unit) {
+                    header.origin = header.origin.map(|c| c * ratio);
+                } else {
+                    header.origin = [0.0; 3];
+                    header.warnings.push(
+                        "the origin is in another unit than --spacing and was set to 0".into(),
+                    );
+                }
+            }
+            header.spacing = Some(edges);
+            header.unit = unit;
+        }
+        Ok(volume)
+    }
+}
+
+/// Which voxels are inside.
+#[derive(Args, Clone, Debug)]
+#[group(multiple = false)]
+pub(crate) struct CriterionArgs {
+    /// Inside: value >= T
+    #[arg(long, value_name = "T", allow_hyphen_values = true, help_heading = "Inside")]
+    threshold: Option<Number>,
+
+    /// Inside: A <= value <= B
+    #[arg(long, value_name = "A..B", value_parser = Criterion::range, allow_hyphen_values = true, help_heading = "Inside")]
+    range: Option<Criterion>,
+
+    /// Inside: value < T
+    #[arg(long, value_name = "T", allow_hyphen_values = true, help_heading = "Inside")]
+    below: Option<Number>,
+
+    /// Inside: value == N, one label of many
+    #[arg(long, value_name = "N", allow_hyphen_values = true, help_heading = "Inside")]
+    label: Option<Number>,
+
+    /// Inside: value >= the threshold of Otsu; the input is read twice, so it cannot be a pipe
+    #[arg(long, help_heading = "Inside")]
+    otsu: bool,
+}
+
+/// What the command line says about the inside.
+pub(crate) enum Inside {
+    /// A criterion.
+    Given(Criterion),
+    /// The threshold is to be found.
+    Otsu,
+}
+
+impl CriterionArgs {
+    /// The criterion asked for.
+    ///
+    /// # Errors
+    /// If there is none and the voxels are not `bool`.
+    pub(crate) fn inside(&self, voxel: VoxelType, input: &InputArgs) -> Result<Inside> {
+        let given = self
+            .threshold
+            .map(Criterion::AtLeast)
+            .or(self.range)
+            .or(self.below.map(Criterion::Below))
+            .or(self.label.map(Criterion::Label));
+        match given {
+            Some(criterion) => Ok(Inside::Given(criterion)),
+            None if self.otsu => Ok(Inside::Otsu),
+            None if voxel == VoxelType::Bool => {
+                Ok(Inside::Given(Criterion::AtLeast(Number::from(1))))
+            }
+            None => {
+                let look = if input.is_stdin() {
+                    String::new()
+                } else {
+                    format!(
+                        "\n\nTo see the values in the image, and the threshold of Otsu:\n  \
+                         curvox info --values {}",
+                        input.input.display()
+                    )
+                };
+                Err(usage(format!(
+                    "which voxels are inside? Say one of:\n  \
+                     --threshold T   value >= T\n  \
+                     --range A..B    A <= value <= B\n  \
+                     --below T       value < T\n  \
+                     --label N       value == N\n  \
+                     --otsu          value >= the threshold of Otsu (not for pipes){look}"
+                )))
+            }
+        }
+    }
+}
+
+/// The voxel grid of a volume, and the unit of its world.
+pub(crate) fn lattice(volume: &Volume, closed: bool) -> Result<Lattice> {
+    let header = &volume.header;
+    let spacing = header.spacing.unwrap_or([1.0; 3]);
+    let mut lattice = Lattice::new(header.dims, spacing, closed).map_err(|error| {
+        let place = match error {
+            LatticeError::Spacing { .. } | LatticeError::Aspect(_) => {
+                format!("{error} (set it with --spacing)")
+            }
+            _ => error.to_string(),
+        };
+        BadInput(format!("{}: {place}", volume.source.name))
+    })?;
+    lattice.origin = header.origin;
+    // The header has axes in columns, the lattice one vector an axis.
+    lattice.direction = transposed(header.direction);
+    Ok(lattice)
+}
+
+/// Rows to columns.
+pub(crate) fn transposed(m: [[f64; 3]; 3]) -> [[f64; 3]; 3] {
+    [0, 1, 2].map(|a| [0, 1, 2].map(|i| m[i][a]))
+}
+
+/// How the unit of the world is written in outputs: `um`, `mm`; `unit` where the image has a voxel
+/// size without a unit; `vx` where it has none and lengths are in voxels.
+pub(crate) fn unit_name(volume: &Volume) -> &'static str {
+    match (volume.header.spacing, volume.header.unit) {
+        (None, _) => "vx",
+        (Some(_), Unit::Unknown) => "unit",
+        (Some(_), unit) => unit.symbol(),
+    }
+}
+
+/// The modification time of a file, in seconds since 1970.
+pub(crate) fn modified(path: &Path) -> Option<u64> {
+    let time = std::fs::metadata(path).ok()?.modified().ok()?;
+    Some(time.duration_since(std::time::UNIX_EPOCH).ok()?.as_secs())
+}
+
+/// An error of opening, with what to do about it where that helps.
+pub(crate) fn opened(input: &InputArgs) -> Result<Volume> {
+    input
+        .open()
+        .with_context(|| format!("cannot use {} as a volume", input.name()))
+}

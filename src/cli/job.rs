@@ -1,0 +1,142 @@
+//! A run made ready: what `run` does and `plan` tells, from the same arguments.
+
+use std::sync::atomic::AtomicBool;
+
+use anyhow::Result;
+use clap::Args;
+use curvox_formats::{Volume, Voxels};
+
+use crate::pipeline::{Plan, Settings};
+use crate::sink::TableInfo;
+use crate::volume::{Binarizer, Criterion, Number};
+
+use super::conventions;
+use super::exit::{BadInput, usage};
+use super::input::{self, CriterionArgs, Inside, InputArgs};
+use super::method::{MethodArgs, ResolvedMethod};
+use super::output::OutputArgs;
+use super::{sizes, values};
+
+/// Arguments of `run` and `plan`.
+#[derive(Args, Clone, Debug)]
+pub(crate) struct JobArgs {
+    #[command(flatten)]
+    pub(crate) input: InputArgs,
+    #[command(flatten)]
+    pub(crate) criterion: CriterionArgs,
+    #[command(flatten)]
+    pub(crate) method: MethodArgs,
+    #[command(flatten)]
+    pub(crate) output: OutputArgs,
+    #[command(flatten)]
+    pub(crate) resources: ResourceArgs,
+}
+
+/// What a run may use. None of it shows in the results.
+#[derive(Args, Clone, Debug)]
+pub(crate) struct ResourceArgs {
+    /// Memory the run may use: 512MiB, 1GiB, 4GB
+    #[arg(long, value_name = "SIZE", default_value = "1GiB", value_parser = sizes::parse, help_heading = "Resources")]
+    pub(crate) memory: u64,
+
+    /// Worker threads [default: one for each processor]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Resources")]
+    threads: Option<u16>,
+
+    /// Edge of the bricks in voxels, 8 to 1024 [default: from the memory]
+    #[arg(long, value_name = "N", help_heading = "Resources")]
+    pub(crate) brick: Option<i32>,
+}
+
+/// A run made ready.
+pub(crate) struct Job {
+    pub(crate) volume: Volume,
+    pub(crate) binarizer: Binarizer,
+    pub(crate) criterion: Criterion,
+    /// The threshold, where it was found by Otsu's method.
+    pub(crate) otsu: Option<f64>,
+    pub(crate) method: ResolvedMethod,
+    pub(crate) settings: Settings,
+    pub(crate) plan: Plan,
+    pub(crate) info: TableInfo,
+}
+
+impl JobArgs {
+    /// Opens the input and settles everything before the first voxel is used.
+    pub(crate) fn prepare(&self, stop: &AtomicBool) -> Result<Job> {
+        let volume = input::opened(&self.input)?;
+        let lattice = input::lattice(&volume, self.method.closed)?;
+        // Mistakes of the command line are found before a long pass over the data.
+        let method = self.method.resolve(&lattice, volume.header.unit)?;
+        let inside = self.criterion.inside(volume.header.voxel, &self.input)?;
+        let sink_bytes = self.output.sink_bytes(lattice.dims, self.resources.memory)?;
+        let mut settings = Settings::new(lattice);
+        settings.adjacency = method.adjacency;
+        settings.estimator = method.estimator;
+        settings.radii = method.radii.iter().map(|r| r.voxels).collect();
+        settings.extent = method.extent;
+        settings.weights = method.weights;
+        settings.directions = method.directions;
+        settings.memory_bytes = self.resources.memory;
+        settings.brick = self.resources.brick;
+        if let Some(threads) = self.resources.threads {
+            settings.threads = threads.into();
+        }
+        let buffered = matches!(volume.voxels, Voxels::Forward(_)) || !volume.source.mapped;
+        let plan = settings.plan(volume.header.voxel.bytes() as u64, buffered, sink_bytes)?;
+        let (criterion, otsu) = match inside {
+            Inside::Given(criterion) => (criterion, None),
+            Inside::Otsu => {
+                let threshold = self.otsu(&volume, stop)?;
+                (Criterion::AtLeast(Number::from(threshold)), Some(threshold))
+            }
+        };
+        let header = &volume.header;
+        let info = TableInfo {
+            dims: settings.lattice.dims,
+            spacing: settings.lattice.spacing,
+            unit: input::unit_name(&volume).to_owned(),
+            origin: header.origin,
+            direction: header.direction,
+            radii: method.radii.clone(),
+            directions: method.directions,
+            parameters: method.parameters(criterion),
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            conventions: conventions::sentences(self.method.closed),
+        };
+        let binarizer =
+            Binarizer::new(criterion, header.voxel, header.byte_order, header.scaling);
+        Ok(Job {
+            binarizer,
+            criterion,
+            otsu,
+            method,
+            settings,
+            plan,
+            info,
+            volume,
+        })
+    }
+
+    fn otsu(&self, volume: &Volume, stop: &AtomicBool) -> Result<f64> {
+        if !volume.source.re_readable {
+            return Err(usage(format!(
+                "--otsu reads the input twice, which {} does not allow; \
+                 save it to a file first, or give --threshold",
+                self.input.name()
+            )));
+        }
+        let found = values::survey(&self.input, stop)?;
+        found.otsu.ok_or_else(|| {
+            BadInput(format!(
+                "{}: --otsu needs two different values, and the image has {}",
+                self.input.name(),
+                match found.min {
+                    Some(value) => format!("only {value}"),
+                    None => "no finite value".into(),
+                }
+            ))
+            .into()
+        })
+    }
+}

@@ -1,0 +1,240 @@
+//! The method: normals, radii, ball, weights; what the rows depend on.
+
+use anyhow::Result;
+use clap::{Args, ValueEnum};
+use curvox_formats::Unit;
+use serde_json::{Value, json};
+
+use crate::khalimsky::Adjacency;
+use crate::lattice::Lattice;
+use crate::measure::ball::{Extent, Weights};
+use crate::normal::{Estimator, Orientation};
+use crate::sink::RadiusInfo;
+use crate::volume::Criterion;
+
+use super::exit::usage;
+use super::lengths::Length;
+
+/// Options of the method.
+#[derive(Args, Clone, Debug)]
+pub(crate) struct MethodArgs {
+    /// Radii of the balls the measures are summed over; several give columns for each [default: 3vx]
+    #[arg(long, value_name = "LENGTH[,LENGTH]", value_delimiter = ',', help_heading = "Method")]
+    radius: Vec<Length>,
+
+    /// Radius of the ball the normals are estimated in [default: 3vx]
+    #[arg(long, value_name = "LENGTH", help_heading = "Method")]
+    normal_radius: Option<Length>,
+
+    /// Normals: ii (digital integral invariants), average (of the surface), trivial [default: ii]
+    #[arg(long, value_enum, hide_possible_values = true, value_name = "NAME", help_heading = "Method")]
+    normals: Option<Normals>,
+
+    /// Which way ii normals point: moment (away from the solid), dgtal (as the surfel) [default: moment]
+    #[arg(long, value_enum, hide_possible_values = true, value_name = "RULE", help_heading = "Method")]
+    orientation: Option<OrientationRule>,
+
+    /// Surface summed: connected (to the surfel within the ball), whole (all of the ball) [default: connected]
+    #[arg(long, value_enum, hide_possible_values = true, value_name = "SET", help_heading = "Method")]
+    ball: Option<BallSet>,
+
+    /// Cells at the rim: lumped (shared out to surfels), sharp (all or nothing), dgtal (ratios) [default: lumped]
+    #[arg(long, value_enum, hide_possible_values = true, value_name = "RULE", help_heading = "Method")]
+    weights: Option<WeightRule>,
+
+    /// A named choice of the options above, each of which still overrides it
+    ///
+    /// default: as said at each option. paper: as the authors of the corrected curvature measures
+    /// compute them with DGtal: --normals ii --orientation dgtal --ball connected --weights dgtal.
+    #[arg(long, value_enum, default_value = "default", value_name = "NAME", help_heading = "Method")]
+    method: Method,
+
+    /// How surfels join where four meet: interior (solid 6-connected), exterior (solid 26-connected)
+    #[arg(long, value_enum, hide_possible_values = true, default_value = "interior", value_name = "NAME", help_heading = "Method")]
+    adjacency: AdjacencyName,
+
+    /// Close the surface on the border of the image, as if nothing of the solid went on beyond it
+    #[arg(long, help_heading = "Method")]
+    pub(crate) closed: bool,
+
+    /// Give the principal directions too (columns d1x ... d2z)
+    #[arg(long, help_heading = "Method")]
+    directions: bool,
+}
+
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq)]
+enum Method {
+    Default,
+    Paper,
+}
+
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq)]
+enum Normals {
+    Ii,
+    Average,
+    Trivial,
+}
+
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq)]
+enum OrientationRule {
+    Moment,
+    Dgtal,
+}
+
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq)]
+enum BallSet {
+    Connected,
+    Whole,
+}
+
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq)]
+enum WeightRule {
+    Lumped,
+    Sharp,
+    Dgtal,
+}
+
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq)]
+enum AdjacencyName {
+    Interior,
+    Exterior,
+}
+
+/// A method made ready for a voxel grid.
+#[derive(Clone, Debug)]
+pub(crate) struct ResolvedMethod {
+    pub(crate) estimator: Estimator,
+    pub(crate) extent: Extent,
+    pub(crate) weights: Weights,
+    pub(crate) adjacency: Adjacency,
+    pub(crate) directions: bool,
+    pub(crate) radii: Vec<RadiusInfo>,
+    /// The radius of the normals in voxel units, if they have one.
+    pub(crate) normal_radius: Option<f64>,
+    /// The options, without the criterion.
+    parameters: Value,
+}
+
+fn name_of(value: impl ValueEnum) -> String {
+    value
+        .to_possible_value()
+        .map_or_else(String::new, |v| v.get_name().to_owned())
+}
+
+impl MethodArgs {
+    /// Fills in defaults and converts lengths.
+    ///
+    /// # Errors
+    /// If a length cannot be converted or used, or options contradict each other.
+    pub(crate) fn resolve(&self, lattice: &Lattice, world: Unit) -> Result<ResolvedMethod> {
+        let paper = self.method == Method::Paper;
+        let normals = self.normals.unwrap_or(Normals::Ii);
+        let orientation = match (normals, self.orientation) {
+            (Normals::Ii, Some(given)) => given,
+            (Normals::Ii, None) if paper => OrientationRule::Dgtal,
+            (_, None) => OrientationRule::Moment,
+            (_, Some(_)) => {
+                return Err(usage(format!(
+                    "--orientation is for --normals ii; {} normals have theirs",
+                    name_of(normals)
+                )));
+            }
+        };
+        let ball = self.ball.unwrap_or(BallSet::Connected);
+        let weights = self.weights.unwrap_or(if paper {
+            WeightRule::Dgtal
+        } else {
+            WeightRule::Lumped
+        });
+        let unit = lattice.voxel_unit_world();
+        let in_voxels = |flag: &str, length: &Length| -> Result<f64> {
+            let voxels = length.in_voxels(flag, unit, world)?;
+            lattice
+                .metric()
+                .voxel_ball(voxels)
+                .map_err(|error| usage(format!("{flag} {length}: {error}")))?;
+            Ok(voxels)
+        };
+        let default = [Length::voxels(3)];
+        let asked = if self.radius.is_empty() {
+            &default[..]
+        } else {
+            &self.radius
+        };
+        let mut radii = Vec::with_capacity(asked.len());
+        for length in asked {
+            let voxels = in_voxels("--radius", length)?;
+            radii.push(RadiusInfo {
+                label: length.to_string(),
+                voxels,
+                world: voxels * unit,
+            });
+        }
+        let default = Length::voxels(3);
+        let normal_length = self.normal_radius.as_ref().unwrap_or(&default);
+        let normal_radius = if normals == Normals::Trivial {
+            if self.normal_radius.is_some() {
+                return Err(usage("--normal-radius has no use with --normals trivial"));
+            }
+            None
+        } else {
+            Some(in_voxels("--normal-radius", normal_length)?)
+        };
+        let estimator = match (normals, normal_radius) {
+            (Normals::Ii, Some(radius)) => Estimator::IntegralInvariant {
+                radius,
+                orientation: match orientation {
+                    OrientationRule::Moment => Orientation::Moment,
+                    OrientationRule::Dgtal => Orientation::Trivial,
+                },
+            },
+            (Normals::Average, Some(radius)) => Estimator::SurfaceAverage { radius },
+            _ => Estimator::Trivial,
+        };
+        let mut parameters = json!({
+            "normals": name_of(normals),
+            "radii": asked.iter().map(ToString::to_string).collect::<Vec<_>>(),
+            "ball": name_of(ball),
+            "weights": name_of(weights),
+            "adjacency": name_of(self.adjacency),
+            "closed": self.closed,
+            "directions": self.directions,
+        });
+        if let Some(radius) = normal_radius {
+            parameters["normal_radius"] = json!(normal_length.to_string());
+            parameters["normal_radius_voxels"] = json!(radius);
+        }
+        if normals == Normals::Ii {
+            parameters["orientation"] = json!(name_of(orientation));
+        }
+        Ok(ResolvedMethod {
+            estimator,
+            extent: match ball {
+                BallSet::Connected => Extent::Connected,
+                BallSet::Whole => Extent::Whole,
+            },
+            weights: match weights {
+                WeightRule::Lumped => Weights::Lumped,
+                WeightRule::Sharp => Weights::Sharp,
+                WeightRule::Dgtal => Weights::Dgtal,
+            },
+            adjacency: match self.adjacency {
+                AdjacencyName::Interior => Adjacency::Interior,
+                AdjacencyName::Exterior => Adjacency::Exterior,
+            },
+            directions: self.directions,
+            radii,
+            normal_radius,
+            parameters,
+        })
+    }
+}
+
+impl ResolvedMethod {
+    /// All that the rows depend on beside the voxels: nothing of threads, memory, bricks or paths.
+    pub(crate) fn parameters(&self, criterion: Criterion) -> Value {
+        let mut parameters = self.parameters.clone();
+        parameters["inside"] = json!(criterion.to_string());
+        parameters
+    }
+}

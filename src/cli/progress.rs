@@ -1,0 +1,90 @@
+//! How far the run is: a bar on a terminal, JSON lines with `--json`, else nothing.
+
+use std::io::{IsTerminal, Write};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use indicatif::{ProgressBar, ProgressStyle};
+use serde_json::json;
+
+use crate::pipeline::Progress;
+
+use super::sizes;
+
+/// Time between two looks.
+const PERIOD: Duration = Duration::from_millis(100);
+
+/// Looks between two JSON lines.
+const LOOKS_PER_LINE: u32 = 10;
+
+/// How progress is shown.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Style {
+    /// Not at all.
+    None,
+    /// A bar on standard error.
+    Bar,
+    /// A JSON line on standard error every second.
+    Lines,
+}
+
+impl Style {
+    /// The style that fits standard error and the options.
+    pub(crate) fn choose(quiet: bool, json: bool, verbose: bool) -> Self {
+        if quiet {
+            Self::None
+        } else if json {
+            Self::Lines
+        } else if !verbose && std::io::stderr().is_terminal() {
+            Self::Bar
+        } else {
+            Self::None
+        }
+    }
+}
+
+/// Shows progress until `done` is set; `planes` is the number of planes of the run.
+pub(crate) fn show(style: Style, progress: &Progress, planes: u64, done: &AtomicBool) {
+    let load = |n: &std::sync::atomic::AtomicU64| n.load(Ordering::Relaxed);
+    let started = Instant::now();
+    let bar = match style {
+        Style::None => return,
+        Style::Lines => ProgressBar::hidden(),
+        Style::Bar => ProgressBar::new(planes),
+    };
+    let style_of_bar = ProgressStyle::with_template(
+        "{bar:30} {percent:>3}% plane {pos}/{len}  {msg}  {elapsed_precise} (about {eta} left)",
+    );
+    if let Ok(style) = style_of_bar {
+        bar.set_style(style);
+    }
+    let mut look = 0u32;
+    while !done.load(Ordering::Relaxed) {
+        match style {
+            Style::Bar => {
+                bar.set_position(load(&progress.planes_done));
+                bar.set_message(format!(
+                    "{} surfels",
+                    sizes::count(load(&progress.surfels_found))
+                ));
+            }
+            Style::Lines if look % LOOKS_PER_LINE == 0 && look > 0 => {
+                let line = json!({
+                    "event": "progress",
+                    "planes": planes,
+                    "planes_read": load(&progress.planes_read),
+                    "planes_done": load(&progress.planes_done),
+                    "surfels_found": load(&progress.surfels_found),
+                    "rows_done": load(&progress.rows_done),
+                    "seconds": started.elapsed().as_secs_f64(),
+                });
+                // Nobody may be reading; the run goes on all the same.
+                let _ = writeln!(std::io::stderr(), "{line}");
+            }
+            _ => {}
+        }
+        look += 1;
+        std::thread::park_timeout(PERIOD);
+    }
+    bar.finish_and_clear();
+}

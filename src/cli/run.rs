@@ -1,0 +1,153 @@
+//! `curvox run`: from a volume to curvatures.
+
+use std::io::Write;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use anyhow::Result;
+use clap::Args;
+use serde_json::{Value, json};
+
+use crate::error::Error;
+use crate::pipeline::{Outcome, Progress, Source, run as run_pipeline};
+use crate::sink::{RunState, SummarySink, SurfelSink};
+
+use super::exit;
+use super::input;
+use super::job::{Job, JobArgs};
+use super::output::Target;
+use super::progress::{self, Style};
+use super::report;
+
+/// Arguments of `curvox run`.
+#[derive(Args, Clone, Debug)]
+pub(crate) struct RunArgs {
+    #[command(flatten)]
+    pub(crate) job: JobArgs,
+}
+
+/// Runs.
+pub(crate) fn run(args: &RunArgs, verbose: bool, stop: &AtomicBool) -> Result<()> {
+    let job_args = &args.job;
+    let started = Instant::now();
+    let target = job_args.output.target()?;
+    let job = job_args.prepare(stop)?;
+    tracing::info!(plan = ?job.plan, "planned");
+    let mut sinks = job_args.output.open(
+        &target,
+        &job.info,
+        asked(job_args, &job),
+        fingerprint(job_args, &job),
+        job.settings.memory_bytes,
+    )?;
+    let mut totals = SummarySink::new(job.info.clone())?;
+    let facts = report::Facts::of(&job);
+    let Job {
+        volume,
+        binarizer,
+        settings,
+        plan,
+        ..
+    } = job;
+    let recorder = sinks.recorder.clone();
+    let work = || -> Result<report::Report> {
+        let outcome = {
+            let mut list: Vec<&mut dyn SurfelSink> = vec![&mut totals];
+            for sink in &mut sinks.list {
+                list.push(sink.as_mut());
+            }
+            let style = Style::choose(job_args.output.quiet, job_args.output.json, verbose);
+            let source = Source { volume, binarizer };
+            let progress = Progress::default();
+            let planes = settings.lattice.cell_dims()[2].unsigned_abs().into();
+            watched(style, &progress, planes, || {
+                run_pipeline(source, &settings, &plan, &mut list, &progress, stop)
+            })?
+        };
+        let summary = totals.summary(facts.run_facts(&settings.lattice, &outcome, &totals));
+        sinks.write_summary(&summary)?;
+        Ok(report::Report {
+            summary,
+            otsu: facts.otsu,
+            target: target.clone(),
+            seconds: started.elapsed().as_secs_f64(),
+        })
+    };
+    let result = work();
+    if let Some(recorder) = recorder {
+        let (state, message) = match &result {
+            Ok(_) => (RunState::Complete, None),
+            Err(error) => (RunState::Failed, Some(format!("{error:#}"))),
+        };
+        // The first error is the one to report.
+        recorder.end(state, message).or_else(|error| {
+            if result.is_ok() { Err(error) } else { Ok(()) }
+        })?;
+    }
+    let report = result?;
+    if job_args.output.json {
+        let line = format!("{}\n", report.json());
+        if target == Target::Stdout {
+            let _ = std::io::stderr().write_all(line.as_bytes());
+        } else {
+            std::io::stdout()
+                .write_all(line.as_bytes())
+                .map_err(exit::stdout_error)?;
+        }
+    } else if !job_args.output.quiet {
+        // Nobody may be reading; the results are written all the same.
+        let _ = std::io::stderr().write_all(report.text().as_bytes());
+    }
+    Ok(())
+}
+
+/// Runs `work` while another thread shows how far it is.
+fn watched(
+    style: Style,
+    progress: &Progress,
+    planes: u64,
+    work: impl FnOnce() -> Result<Outcome, Error>,
+) -> Result<Outcome, Error> {
+    let done = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        /// Ends the watch, also when the work panics.
+        struct End<'a>(&'a AtomicBool, std::thread::Thread);
+        impl Drop for End<'_> {
+            fn drop(&mut self) {
+                self.0.store(true, Ordering::Relaxed);
+                self.1.unpark();
+            }
+        }
+        let watch = scope.spawn(|| progress::show(style, progress, planes, &done));
+        let end = End(&done, watch.thread().clone());
+        let result = work();
+        drop(end);
+        result
+    })
+}
+
+/// The request, for `run.json`.
+fn asked(args: &JobArgs, job: &Job) -> Value {
+    json!({
+        "arguments": std::env::args_os().skip(1).map(|a| a.to_string_lossy().into_owned()).collect::<Vec<_>>(),
+        "parameters": job.info.parameters,
+        "memory_bytes": args.resources.memory,
+        "threads": job.settings.threads,
+        "brick": args.resources.brick,
+    })
+}
+
+/// What tells the input from another, for `run.json`.
+fn fingerprint(args: &JobArgs, job: &Job) -> Value {
+    let (header, source) = (&job.volume.header, &job.volume.source);
+    let path = source.path.as_deref();
+    json!({
+        "name": args.input.name(),
+        "path": path.map(|p| std::path::absolute(p).unwrap_or_else(|_| p.to_owned())),
+        "size_bytes": source.length_bytes,
+        "modified": path.and_then(input::modified),
+        "format": header.format.name(),
+        "dims": header.dims,
+        "dtype": header.dtype().to_string(),
+    })
+}
