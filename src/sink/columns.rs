@@ -107,6 +107,16 @@ pub(crate) fn schema(info: &TableInfo) -> SchemaRef {
     Arc::new(Schema::new(fields.collect::<Vec<_>>()))
 }
 
+/// Bytes of a row in memory.
+pub(crate) fn row_bytes(info: &TableInfo) -> u64 {
+    let widths = schema(info)
+        .fields()
+        .iter()
+        .map(|f| f.data_type().primitive_width())
+        .collect::<Vec<_>>();
+    widths.into_iter().flatten().map(|width| width as u64).sum()
+}
+
 /// Moves the rows out of `rows`, which keeps its shape but is empty afterwards.
 pub(crate) fn take_record_batch(
     rows: &mut SurfelBatch,
