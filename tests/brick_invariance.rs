@@ -46,8 +46,8 @@ proptest! {
         p in 0.05f64..0.95,
         closed: bool,
         exterior: bool,
-        which in 0..3,
-        weights in 0..3,
+        which in 0usize..3,
+        weights in 0usize..3,
         brick in 8i32..30,
         threads in 1usize..8,
     ) {

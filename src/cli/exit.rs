@@ -36,12 +36,7 @@ pub(crate) fn usage(message: impl Into<String>) -> anyhow::Error {
 
 /// An error of writing a text to standard output.
 pub(crate) fn stdout_error(source: io::Error) -> anyhow::Error {
-    SinkError::io(
-        std::path::Path::new("standard output"),
-        "write",
-        source,
-    )
-    .into()
+    SinkError::io(std::path::Path::new("standard output"), "write", source).into()
 }
 
 /// The exit code of an error. 0 for a reader of a pipe that went away: it has all it wanted.
@@ -103,7 +98,10 @@ mod tests {
         let input = curvox_formats::Error::invalid("a.npy", "cut");
         assert_eq!(code(&Error::Input(input).into()), BAD_INPUT);
         assert_eq!(code(&Error::Stopped.into()), INTERRUPTED);
-        assert_eq!(code(&Error::Lattice(LatticeError::Radius(0.0)).into()), USAGE);
+        assert_eq!(
+            code(&Error::Lattice(LatticeError::Radius(0.0)).into()),
+            USAGE
+        );
         let gone = stdout_error(io::ErrorKind::BrokenPipe.into());
         assert_eq!(code(&gone), DONE);
         let full = stdout_error(io::ErrorKind::StorageFull.into());

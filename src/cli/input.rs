@@ -153,7 +153,12 @@ impl InputArgs {
 #[group(multiple = false)]
 pub(crate) struct CriterionArgs {
     /// Inside: value >= T
-    #[arg(long, value_name = "T", allow_hyphen_values = true, help_heading = "Inside")]
+    #[arg(
+        long,
+        value_name = "T",
+        allow_hyphen_values = true,
+        help_heading = "Inside"
+    )]
     threshold: Option<Number>,
 
     /// Inside: A <= value <= B
@@ -161,11 +166,21 @@ pub(crate) struct CriterionArgs {
     range: Option<Criterion>,
 
     /// Inside: value < T
-    #[arg(long, value_name = "T", allow_hyphen_values = true, help_heading = "Inside")]
+    #[arg(
+        long,
+        value_name = "T",
+        allow_hyphen_values = true,
+        help_heading = "Inside"
+    )]
     below: Option<Number>,
 
     /// Inside: value == N, one label of many
-    #[arg(long, value_name = "N", allow_hyphen_values = true, help_heading = "Inside")]
+    #[arg(
+        long,
+        value_name = "N",
+        allow_hyphen_values = true,
+        help_heading = "Inside"
+    )]
     label: Option<Number>,
 
     /// Inside: value >= the threshold of Otsu; the input is read twice, so it cannot be a pipe

@@ -12,7 +12,7 @@ use crate::volume::{Binarizer, Criterion, Number};
 
 use super::conventions;
 use super::exit::{BadInput, usage};
-use super::input::{self, CriterionArgs, Inside, InputArgs};
+use super::input::{self, CriterionArgs, InputArgs, Inside};
 use super::method::{MethodArgs, ResolvedMethod};
 use super::output::OutputArgs;
 use super::{sizes, values};
@@ -69,7 +69,9 @@ impl JobArgs {
         // Mistakes of the command line are found before a long pass over the data.
         let method = self.method.resolve(&lattice, volume.header.unit)?;
         let inside = self.criterion.inside(volume.header.voxel, &self.input)?;
-        let sink_bytes = self.output.sink_bytes(lattice.dims, self.resources.memory)?;
+        let sink_bytes = self
+            .output
+            .sink_bytes(lattice.dims, self.resources.memory)?;
         let mut settings = Settings::new(lattice);
         settings.adjacency = method.adjacency;
         settings.estimator = method.estimator;
@@ -104,8 +106,7 @@ impl JobArgs {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             conventions: conventions::sentences(self.method.closed),
         };
-        let binarizer =
-            Binarizer::new(criterion, header.voxel, header.byte_order, header.scaling);
+        let binarizer = Binarizer::new(criterion, header.voxel, header.byte_order, header.scaling);
         Ok(Job {
             binarizer,
             criterion,

@@ -167,12 +167,16 @@ impl FromStr for Spacing {
             edges.push(edge);
             if suffix.is_empty() {
                 if unit != Unit::Unknown {
-                    return Err(fail("write the unit once, at the end, as in 1,1,2um".into()));
+                    return Err(fail(
+                        "write the unit once, at the end, as in 1,1,2um".into(),
+                    ));
                 }
                 continue;
             }
             let found: Unit = suffix.parse().map_err(|_| {
-                fail(format!("'{suffix}' is not a unit, expected nm, um, mm, cm, m or A"))
+                fail(format!(
+                    "'{suffix}' is not a unit, expected nm, um, mm, cm, m or A"
+                ))
             })?;
             if i > 0 && unit != Unit::Unknown && unit != found {
                 return Err(fail(format!("it mixes {unit} and {found}")));
@@ -182,7 +186,12 @@ impl FromStr for Spacing {
         let edges = match edges[..] {
             [edge] => [edge; 3],
             [x, y, z] => [x, y, z],
-            _ => return Err(fail(format!("found {} numbers, expected 1 or 3", edges.len()))),
+            _ => {
+                return Err(fail(format!(
+                    "found {} numbers, expected 1 or 3",
+                    edges.len()
+                )));
+            }
         };
         Ok(Self { edges, unit })
     }
@@ -213,8 +222,21 @@ mod tests {
     #[test]
     fn a_bare_number_is_an_error_that_shows_both_ways() {
         let message = "3".parse::<Length>().unwrap_err().to_string();
-        assert!(message.contains("3vx") && message.contains("3um"), "{message}");
-        for bad in ["", "vx", "3 parsecs", "-1vx", "0vx", "nanvx", "1e400mm", "3unknown", "infum"] {
+        assert!(
+            message.contains("3vx") && message.contains("3um"),
+            "{message}"
+        );
+        for bad in [
+            "",
+            "vx",
+            "3 parsecs",
+            "-1vx",
+            "0vx",
+            "nanvx",
+            "1e400mm",
+            "3unknown",
+            "infum",
+        ] {
             assert!(bad.parse::<Length>().is_err(), "{bad}");
         }
     }
@@ -222,14 +244,17 @@ mod tests {
     #[test]
     fn lengths_convert_between_units() {
         // voxels of 0.05 mm, radius of 150 um: 3 voxels
-        let voxels = |text: &str, edge, unit| length(text).in_voxels("--radius", edge, unit).unwrap();
+        let voxels =
+            |text: &str, edge, unit| length(text).in_voxels("--radius", edge, unit).unwrap();
         assert!((voxels("150um", 0.05, Unit::Millimetre) - 3.0).abs() < 1e-12);
         assert!((voxels("0.15mm", 50.0, Unit::Micrometre) - 3.0).abs() < 1e-12);
         assert!((voxels("30A", 1.0, Unit::Nanometre) - 3.0).abs() < 1e-12);
         assert!((voxels("1.5e-1mm", 0.05, Unit::Millimetre) - 3.0).abs() < 1e-12);
         assert_eq!(voxels("3vx", 0.05, Unit::Unknown), 3.0);
         assert_eq!(voxels("12\u{b5}m", 1.0, Unit::Micrometre), 12.0);
-        let error = length("12um").in_voxels("--radius", 1.0, Unit::Unknown).unwrap_err();
+        let error = length("12um")
+            .in_voxels("--radius", 1.0, Unit::Unknown)
+            .unwrap_err();
         assert!(error.to_string().contains("--spacing"), "{error}");
     }
 
@@ -243,11 +268,26 @@ mod tests {
     #[test]
     fn spacings_have_one_or_three_edges_and_one_unit() {
         let spacing = |text: &str| text.parse::<Spacing>().map(|s| (s.edges, s.unit));
-        assert_eq!(spacing("1,1,2um").unwrap(), ([1.0, 1.0, 2.0], Unit::Micrometre));
-        assert_eq!(spacing("1um,1um,2um").unwrap(), ([1.0, 1.0, 2.0], Unit::Micrometre));
+        assert_eq!(
+            spacing("1,1,2um").unwrap(),
+            ([1.0, 1.0, 2.0], Unit::Micrometre)
+        );
+        assert_eq!(
+            spacing("1um,1um,2um").unwrap(),
+            ([1.0, 1.0, 2.0], Unit::Micrometre)
+        );
         assert_eq!(spacing("0.5mm").unwrap(), ([0.5; 3], Unit::Millimetre));
         assert_eq!(spacing("1,1,2").unwrap(), ([1.0, 1.0, 2.0], Unit::Unknown));
-        for bad in ["", "1,2", "1um,1,1", "1um,1mm,1um", "0,1,1", "1,1,1vx", "a", "1,,1"] {
+        for bad in [
+            "",
+            "1,2",
+            "1um,1,1",
+            "1um,1mm,1um",
+            "0,1,1",
+            "1,1,1vx",
+            "a",
+            "1,,1",
+        ] {
             assert!(spacing(bad).is_err(), "{bad}");
         }
     }

@@ -19,7 +19,12 @@ use super::lengths::Length;
 #[derive(Args, Clone, Debug)]
 pub(crate) struct MethodArgs {
     /// Radii of the balls the measures are summed over; several give columns for each [default: 3vx]
-    #[arg(long, value_name = "LENGTH[,LENGTH]", value_delimiter = ',', help_heading = "Method")]
+    #[arg(
+        long,
+        value_name = "LENGTH[,LENGTH]",
+        value_delimiter = ',',
+        help_heading = "Method"
+    )]
     radius: Vec<Length>,
 
     /// Radius of the ball the normals are estimated in [default: 3vx]
@@ -27,30 +32,67 @@ pub(crate) struct MethodArgs {
     normal_radius: Option<Length>,
 
     /// Normals: ii (digital integral invariants), average (of the surface), trivial [default: ii]
-    #[arg(long, value_enum, hide_possible_values = true, value_name = "NAME", help_heading = "Method")]
+    #[arg(
+        long,
+        value_enum,
+        hide_possible_values = true,
+        value_name = "NAME",
+        help_heading = "Method"
+    )]
     normals: Option<Normals>,
 
     /// Which way ii normals point: moment (away from the solid), dgtal (as the surfel) [default: moment]
-    #[arg(long, value_enum, hide_possible_values = true, value_name = "RULE", help_heading = "Method")]
+    #[arg(
+        long,
+        value_enum,
+        hide_possible_values = true,
+        value_name = "RULE",
+        help_heading = "Method"
+    )]
     orientation: Option<OrientationRule>,
 
     /// Surface summed: connected (to the surfel within the ball), whole (all of the ball) [default: connected]
-    #[arg(long, value_enum, hide_possible_values = true, value_name = "SET", help_heading = "Method")]
+    #[arg(
+        long,
+        value_enum,
+        hide_possible_values = true,
+        value_name = "SET",
+        help_heading = "Method"
+    )]
     ball: Option<BallSet>,
 
     /// Cells at the rim: lumped (shared out to surfels), sharp (all or nothing), dgtal (ratios) [default: lumped]
-    #[arg(long, value_enum, hide_possible_values = true, value_name = "RULE", help_heading = "Method")]
+    #[arg(
+        long,
+        value_enum,
+        hide_possible_values = true,
+        value_name = "RULE",
+        help_heading = "Method"
+    )]
     weights: Option<WeightRule>,
 
     /// A named choice of the options above, each of which still overrides it
     ///
     /// default: as said at each option. paper: as the authors of the corrected curvature measures
     /// compute them with DGtal: --normals ii --orientation dgtal --ball connected --weights dgtal.
-    #[arg(long, value_enum, default_value = "default", value_name = "NAME", help_heading = "Method")]
+    #[arg(
+        long,
+        value_enum,
+        default_value = "default",
+        value_name = "NAME",
+        help_heading = "Method"
+    )]
     method: Method,
 
     /// How surfels join where four meet: interior (solid 6-connected), exterior (solid 26-connected)
-    #[arg(long, value_enum, hide_possible_values = true, default_value = "interior", value_name = "NAME", help_heading = "Method")]
+    #[arg(
+        long,
+        value_enum,
+        hide_possible_values = true,
+        default_value = "interior",
+        value_name = "NAME",
+        help_heading = "Method"
+    )]
     adjacency: AdjacencyName,
 
     /// Close the surface on the border of the image, as if nothing of the solid went on beyond it

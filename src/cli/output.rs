@@ -32,7 +32,13 @@ pub(crate) struct OutputArgs {
     overwrite: bool,
 
     /// Table on standard output: csv, arrow (an Arrow IPC stream) [default: csv]
-    #[arg(long, value_enum, hide_possible_values = true, value_name = "FORMAT", help_heading = "Output")]
+    #[arg(
+        long,
+        value_enum,
+        hide_possible_values = true,
+        value_name = "FORMAT",
+        help_heading = "Output"
+    )]
     to: Option<TableStream>,
 
     /// Curvature slices as OpenEXR: 10,20  3..40  every:8  all; x=10 or --axis x across x
@@ -44,7 +50,13 @@ pub(crate) struct OutputArgs {
     axis: Option<String>,
 
     /// Colours of the slices' preview: blue-red, blue-orange
-    #[arg(long, value_name = "NAME", requires = "slices", default_value = "blue-red", help_heading = "Output")]
+    #[arg(
+        long,
+        value_name = "NAME",
+        requires = "slices",
+        default_value = "blue-red",
+        help_heading = "Output"
+    )]
     palette: Palette,
 
     /// No progress, no summary, no warnings on standard error
@@ -127,7 +139,9 @@ impl OutputArgs {
         let names_axis = text.trim_start().starts_with(['x', 'y', 'z']);
         let text = match &self.axis {
             Some(axis) if names_axis && !text.trim_start().starts_with(axis.as_str()) => {
-                return Err(usage(format!("--slices {text} is not across --axis {axis}")));
+                return Err(usage(format!(
+                    "--slices {text} is not across --axis {axis}"
+                )));
             }
             Some(axis) if !names_axis => format!("{axis}={text}"),
             _ => text.clone(),
@@ -287,9 +301,18 @@ mod tests {
         let target = |text: &str| target_of(Path::new(text));
         assert_eq!(target("-").unwrap(), Target::Stdout);
         assert_eq!(target("a/b.CSV").unwrap(), Target::Csv("a/b.CSV".into()));
-        assert_eq!(target("b.parquet").unwrap(), Target::Parquet("b.parquet".into()));
-        assert_eq!(target("b.parquet/").unwrap(), Target::Directory("b.parquet/".into()));
-        assert_eq!(target("scan.v2").unwrap(), Target::Directory("scan.v2".into()));
+        assert_eq!(
+            target("b.parquet").unwrap(),
+            Target::Parquet("b.parquet".into())
+        );
+        assert_eq!(
+            target("b.parquet/").unwrap(),
+            Target::Directory("b.parquet/".into())
+        );
+        assert_eq!(
+            target("scan.v2").unwrap(),
+            Target::Directory("scan.v2".into())
+        );
         assert!(target("b.ply").is_err());
     }
 }

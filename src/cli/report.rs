@@ -45,10 +45,18 @@ impl Facts {
                 .unwrap_or(0);
             (radius / edges[axis], ["x", "y", "z"][axis])
         };
-        let radii = job.method.radii.iter().map(|r| (r.label.as_str(), r.voxels));
+        let radii = job
+            .method
+            .radii
+            .iter()
+            .map(|r| (r.label.as_str(), r.voxels));
         let all = radii
             .map(|(label, voxels)| (format!("radius {label}"), voxels))
-            .chain(job.method.normal_radius.map(|v| ("normal radius".into(), v)));
+            .chain(
+                job.method
+                    .normal_radius
+                    .map(|v| ("normal radius".into(), v)),
+            );
         for (what, voxels) in all {
             let (least, axis) = shortest(voxels);
             if least < SMALLEST_RADIUS {
@@ -262,7 +270,11 @@ impl Report {
             } else {
                 "open at the border of the image"
             };
-            writeln!(out, "Euler      V - E + F = {}, {open}", exact.euler_counted)?;
+            writeln!(
+                out,
+                "Euler      V - E + F = {}, {open}",
+                exact.euler_counted
+            )?;
         }
         let mean = |value: Option<f64>| value.map_or("none".into(), number);
         for radius in &summary.radii {
@@ -320,7 +332,10 @@ mod tests {
 
     #[test]
     fn warnings_lose_the_path_in_front() {
-        assert_eq!(without_name("a/b.nii: trailing bytes", "a/b.nii"), "trailing bytes");
+        assert_eq!(
+            without_name("a/b.nii: trailing bytes", "a/b.nii"),
+            "trailing bytes"
+        );
         assert_eq!(without_name("trailing bytes", "a/b.nii"), "trailing bytes");
     }
 

@@ -80,9 +80,11 @@ pub(crate) fn run(args: &RunArgs, verbose: bool, stop: &AtomicBool) -> Result<()
             Err(error) => (RunState::Failed, Some(format!("{error:#}"))),
         };
         // The first error is the one to report.
-        recorder.end(state, message).or_else(|error| {
-            if result.is_ok() { Err(error) } else { Ok(()) }
-        })?;
+        recorder.end(state, message).or_else(
+            |error| {
+                if result.is_ok() { Err(error) } else { Ok(()) }
+            },
+        )?;
     }
     let report = result?;
     if job_args.output.json {

@@ -17,7 +17,7 @@
 //! | `Dgtal` | share of its extent in the ball | the same, by its ends and middle | 1 if in the ball |
 //!
 //! Guaranteed: sums are of integers, so exact; which cells take part is decided in integers
-//! (except the shares of `Dgtal`, which are rounded to 2^-32 each). `Sharp` counts fewer linels
+//! (except the shares of `Dgtal`, which are rounded to 2^-48 each). `Sharp` counts fewer linels
 //! than the rim of the set has a share in, so it is low by about 0.6 / rho; it is what makes
 //! V - E + F of the set an Euler characteristic. `Lumped` has no such bias.
 
@@ -195,8 +195,8 @@ pub struct BallScratch {
     epoch: u32,
 }
 
-/// One, in the unit of the shares of `Dgtal`.
-const SHARE_ONE: f64 = (1u64 << 32) as f64;
+/// One, in the unit of the shares of `Dgtal`: finer than the measures they multiply.
+const SHARE_ONE: f64 = (1u64 << 48) as f64;
 
 /// Half the diagonal of a surfel: no point of it is farther from its centroid, in voxel units.
 const HALF_DIAGONAL: f64 = 0.708;

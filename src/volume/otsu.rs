@@ -347,9 +347,8 @@ mod tests {
         for &t in &candidates[1..] {
             let (above, below): (Vec<f64>, Vec<f64>) = values.iter().partition(|&&v| v >= t);
             let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
-            let between = above.len() as f64
-                * below.len() as f64
-                * (mean(&above) - mean(&below)).powi(2);
+            let between =
+                above.len() as f64 * below.len() as f64 * (mean(&above) - mean(&below)).powi(2);
             if best.is_none_or(|(most, _)| between > most * (1.0 + 1e-12)) {
                 best = Some((between, t));
             }
@@ -412,7 +411,10 @@ mod tests {
         let bytes = stored.iter().flat_map(|v| v.to_le_bytes()).collect();
         let found = values_of(bytes, DType::little(VoxelType::F32), None);
         assert_eq!((found.voxels, found.nan, found.infinite), (5, 1, 2));
-        assert_eq!((found.min, found.max, found.mean), (Some(1.0), Some(3.0), Some(2.0)));
+        assert_eq!(
+            (found.min, found.max, found.mean),
+            (Some(1.0), Some(3.0), Some(2.0))
+        );
         assert!(found.otsu.unwrap() > 1.0 && found.otsu.unwrap() <= 3.0);
     }
 
@@ -422,7 +424,10 @@ mod tests {
             let found = values_of(vec![0; 64], DType::little(dtype), None);
             assert_eq!((found.min, found.otsu), (Some(0.0), None), "{dtype}");
         }
-        let stored = [f64::MAX, f64::MIN].iter().flat_map(|v| v.to_le_bytes()).collect();
+        let stored = [f64::MAX, f64::MIN]
+            .iter()
+            .flat_map(|v| v.to_le_bytes())
+            .collect();
         let found = values_of(stored, DType::little(VoxelType::F64), None);
         assert!(found.otsu.unwrap() > 0.0);
     }

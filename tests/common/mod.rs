@@ -16,10 +16,10 @@ use curvox_tools::plain::Solid;
 use glam::DVec3;
 
 /// Counter-based random numbers in [0, 1).
-pub struct Random(pub u64);
+pub(crate) struct Random(pub(crate) u64);
 
 impl Random {
-    pub fn next(&mut self) -> f64 {
+    pub(crate) fn next(&mut self) -> f64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
         z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -29,7 +29,7 @@ impl Random {
 }
 
 /// Each voxel inside with probability `p`.
-pub fn noise(dims: [usize; 3], p: f64, seed: u64) -> Solid {
+pub(crate) fn noise(dims: [usize; 3], p: f64, seed: u64) -> Solid {
     let mut random = Random(seed);
     let inside = (0..dims.iter().product())
         .map(|_| random.next() < p)
@@ -38,7 +38,7 @@ pub fn noise(dims: [usize; 3], p: f64, seed: u64) -> Solid {
 }
 
 /// A lumpy blob with noise at its rim: curved, flat and torn places.
-pub fn blob(dims: [usize; 3], seed: u64) -> Solid {
+pub(crate) fn blob(dims: [usize; 3], seed: u64) -> Solid {
     let mut random = Random(seed);
     let balls: Vec<[f64; 4]> = (0..5)
         .map(|_| {
@@ -61,7 +61,7 @@ pub fn blob(dims: [usize; 3], seed: u64) -> Solid {
     .with_flips(&mut noise, 0.01)
 }
 
-pub trait WithFlips {
+pub(crate) trait WithFlips {
     fn with_flips(self, random: &mut Random, p: f64) -> Self;
 }
 
@@ -74,12 +74,12 @@ impl WithFlips for Solid {
     }
 }
 
-pub fn lattice(solid: &Solid, spacing: [f64; 3], closed: bool) -> Lattice {
+pub(crate) fn lattice(solid: &Solid, spacing: [f64; 3], closed: bool) -> Lattice {
     Lattice::new(solid.dims.map(|n| n as u64), spacing, closed).unwrap()
 }
 
 /// The voxels of a solid as bits.
-pub fn window(solid: &Solid) -> PlaneWindow {
+pub(crate) fn window(solid: &Solid) -> PlaneWindow {
     let dims = solid.dims.map(|n| n as u32);
     let planes = solid
         .inside
@@ -102,23 +102,22 @@ pub fn window(solid: &Solid) -> PlaneWindow {
 }
 
 /// One surfel as computed in full precision, the volume taken as a single brick.
-pub struct FullRow {
-    pub k: [i32; 3],
-    pub orientation: u8,
-    pub u: DVec3,
-    pub marks: u8,
-    pub sums: BallSums,
-    pub curvature: Option<Curvature>,
+pub(crate) struct FullRow {
+    pub(crate) k: [i32; 3],
+    pub(crate) u: DVec3,
+    pub(crate) marks: u8,
+    pub(crate) sums: BallSums,
+    pub(crate) curvature: Option<Curvature>,
 }
 
 /// All of a volume as a single brick, at the first radius.
-pub struct Whole {
-    pub rows: Vec<FullRow>,
-    pub totals: CellTotals,
-    pub solid: SolidCounts,
+pub(crate) struct Whole {
+    pub(crate) rows: Vec<FullRow>,
+    pub(crate) totals: CellTotals,
+    pub(crate) solid: SolidCounts,
 }
 
-pub fn whole(solid: &Solid, settings: &Settings) -> Whole {
+pub(crate) fn whole(solid: &Solid, settings: &Settings) -> Whole {
     let lattice = &settings.lattice;
     let window = window(solid);
     let core = CellBox {
@@ -155,7 +154,6 @@ pub fn whole(solid: &Solid, settings: &Settings) -> Whole {
             let sums = ball.sum(&surface, &measures, i, &mut scratch);
             FullRow {
                 k: surface.surfels.khalimsky(i),
-                orientation: surface.surfels.list[i].orientation,
                 u: normals.u[i],
                 marks: marks[i],
                 curvature: Curvature::from_sums(&sums, normals.u[i], lattice.voxel_unit_world()),
@@ -176,7 +174,7 @@ pub fn whole(solid: &Solid, settings: &Settings) -> Whole {
 
 /// Keeps all rows.
 #[derive(Default)]
-pub struct Collected(pub Vec<SurfelBatch>);
+pub(crate) struct Collected(pub(crate) Vec<SurfelBatch>);
 
 impl SurfelSink for Collected {
     fn write(&mut self, batch: &SurfelBatch) -> Result<(), SinkError> {
@@ -191,7 +189,7 @@ impl SurfelSink for Collected {
 
 impl Collected {
     /// All rows as one batch, whatever the cut.
-    pub fn joined(self) -> SurfelBatch {
+    pub(crate) fn joined(self) -> SurfelBatch {
         let mut all = SurfelBatch::default();
         for batch in self.0 {
             if all.curvatures.is_empty() {
@@ -221,7 +219,7 @@ impl Collected {
 }
 
 /// The voxels of a solid as an open volume.
-pub fn source(solid: &Solid) -> Source {
+pub(crate) fn source(solid: &Solid) -> Source {
     let bytes: Vec<u8> = solid.inside.iter().map(|&v| u8::from(v)).collect();
     let options = OpenOptions {
         raw: Some(RawLayout {
@@ -241,7 +239,7 @@ pub fn source(solid: &Solid) -> Source {
 }
 
 /// Runs the pipeline on a solid.
-pub fn piped(solid: &Solid, settings: &Settings) -> (SurfelBatch, Outcome) {
+pub(crate) fn piped(solid: &Solid, settings: &Settings) -> (SurfelBatch, Outcome) {
     let plan = settings.plan(1, true, 0).unwrap();
     let mut rows = Collected::default();
     let outcome = run(
@@ -257,7 +255,7 @@ pub fn piped(solid: &Solid, settings: &Settings) -> (SurfelBatch, Outcome) {
 }
 
 /// Bits of all floats, so that NaN equals itself.
-pub fn bits(batch: &SurfelBatch) -> Vec<u64> {
+pub(crate) fn bits(batch: &SurfelBatch) -> Vec<u64> {
     let mut out: Vec<u64> = Vec::new();
     let mut ints = |v: &[i32]| out.extend(v.iter().map(|&x| x as u64));
     batch.k.iter().for_each(|v| ints(v));
