@@ -222,6 +222,20 @@ impl SurfelBatch {
         }
     }
 
+    /// Makes room for `rows` rows, in all columns but the directions, which are seldom there.
+    pub(crate) fn reserve_rows(&mut self, rows: usize) {
+        self.k.iter_mut().for_each(|column| column.reserve(rows));
+        self.side.reserve(rows);
+        let triples = self.position.iter_mut().chain(&mut self.normal);
+        triples.for_each(|column| column.reserve(rows));
+        self.area.reserve(rows);
+        for at in &mut self.curvatures {
+            let values = [&mut at.mean, &mut at.gaussian, &mut at.k1, &mut at.k2];
+            values.into_iter().for_each(|column| column.reserve(rows));
+            at.flags.reserve(rows);
+        }
+    }
+
     /// The Khalimsky coordinates of a row.
     ///
     /// # Panics
