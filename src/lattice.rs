@@ -291,12 +291,13 @@ impl Ball {
         i32::try_from(w).ok()
     }
 
-    /// How many cells away along each axis the ball can reach.
+    /// How many cells away along each axis the ball can reach: a doubled displacement up to `w`
+    /// leads from an odd coordinate to an even one at most `(w + 1) / 2` cells on.
     #[must_use]
     pub fn reach(&self) -> [i32; 3] {
         [0, 1, 2].map(|axis| {
             let w = self.half_width(axis, 0).unwrap_or(0);
-            if self.doubled { w / 2 + 1 } else { w }
+            if self.doubled { (w + 1) / 2 } else { w }
         })
     }
 }

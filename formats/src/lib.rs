@@ -30,6 +30,7 @@
 //! allocation. Not guaranteed: that voxel values make sense (NaN, bytes other than 0 and 1 in a
 //! `bool`), which is for whoever interprets them.
 
+// Without the SIGBUS guard some helpers of the map have no use.
 #![cfg_attr(not(unix), allow(dead_code))]
 
 pub mod conformance;

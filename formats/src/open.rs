@@ -326,13 +326,7 @@ impl Place<'_> {
         let available = length.saturating_sub(offset);
         if available < bytes {
             let plane = header.plane_bytes().unwrap_or(u64::MAX);
-            return Err(ends_early(
-                self.name,
-                length.min(offset),
-                available,
-                bytes,
-                plane,
-            ));
+            return Err(ends_early(self.name, length, available, bytes, plane));
         }
         // Checked by the format: all frames together fit `u64`.
         let used = bytes.saturating_mul(frames_behind.saturating_add(1));

@@ -89,13 +89,13 @@ pub(crate) fn look_behind(
     let end = input.position() - read;
     let most = AT_LEAST_BYTES.max(volume_bytes);
     let skipped = input
-        .skip(most)
+        .skip(most + 1)
         .map_err(|e| read_error(name, input.position(), e))?;
     let mut warnings = Vec::new();
     let behind = read + skipped;
-    if skipped == most {
+    if skipped > most {
         warnings.push(format!(
-            "{name}: more than {behind} bytes follow the voxels, from byte {end}; they were not \
+            "{name}: at least {behind} bytes follow the voxels, from byte {end}; they were not \
              read to their end, so a checksum there was not verified"
         ));
     } else if behind > frames {

@@ -57,7 +57,8 @@ pub trait ForwardVoxels: Send {
     fn read_planes(&mut self, count: u64, out: &mut Vec<u8>) -> Result<u64, Error>;
 
     /// Looks at what follows the last plane, so that checksums are verified, and gives warnings
-    /// (for instance on bytes that belong to no voxel).
+    /// (for instance on bytes that belong to no voxel). Compressed data carries its checksum at
+    /// the end, so what was read is only trustworthy after this.
     ///
     /// # Errors
     ///

@@ -195,7 +195,7 @@ fn a_claim_of_tebibytes_is_refused_before_it_is_believed() {
 #[test]
 fn a_bomb_behind_the_voxels_stays_in_bounded_memory() {
     let mut file = vol(DIMS, 2, &noise(210));
-    file.resize(file.len() + (80 << 20), 0);
+    file.resize(file.len() + (66 << 20), 0);
     for bytes in [gzip(&file), zstd(&file)] {
         let ((_, found, warnings), peak) = peak_bytes(|| {
             open_bytes(&bytes, &OpenOptions::default())
@@ -204,7 +204,7 @@ fn a_bomb_behind_the_voxels_stays_in_bounded_memory() {
         });
         assert!(found == noise(210));
         assert_eq!(warnings.len(), 1);
-        assert!(warnings[0].contains("more than"), "{warnings:?}");
+        assert!(warnings[0].contains("not verified"), "{warnings:?}");
         assert!(peak < 4 << 20, "{peak}");
     }
 }

@@ -51,14 +51,18 @@ impl Curvature {
             m / sums.mu0 - NORMAL_PENALTY * uu
         });
         let principal = eigen(&shape);
+        // Without the direction of the penalty; where curvatures are beyond it, they stay.
+        let far = |i: usize| (principal.values[i] + NORMAL_PENALTY).abs();
+        let normal = (0..3).fold(0, |best, i| if far(i) < far(best) { i } else { best });
+        let [first, second] = [[1, 2], [0, 2], [0, 1]][normal];
         let mu1 = sums.tensor.xx + sums.tensor.yy + sums.tensor.zz;
         Some(Self {
             mean: mu1 / (2.0 * sums.mu0) * per_length,
             gaussian: sums.mu2 / sums.mu0 * per_length * per_length,
-            k1: principal.values[1] * per_length,
-            k2: principal.values[2] * per_length,
-            d1: principal.vectors[1],
-            d2: principal.vectors[2],
+            k1: principal.values[first] * per_length,
+            k2: principal.values[second] * per_length,
+            d1: principal.vectors[first],
+            d2: principal.vectors[second],
         })
     }
 }

@@ -12,7 +12,7 @@
 //! that of the trivial normals, (4 - d) pi/2, by the areas swept between consecutive surfels
 //! ([`super::formula::swept_area`]); these are antisymmetric and integers, so over a closed surface they cancel
 //! and what is left is 2 pi (V - E + F). L = (4 - d) pi/2 - sum Q is a lift of the area;
-//! mu2 = L - 4 pi k with k the nearest integer of L / 4 pi (the one farther from 0 on a tie). It equals the paper's area wherever
+//! mu2 = L - 4 pi k with k the nearest integer of L / 4 pi (half a sphere being +2 pi). It equals the paper's area wherever
 //! the normals of the umbrella lie in one hemisphere (condition iii of a corrected normal field).
 
 use glam::DVec3;

@@ -34,13 +34,17 @@ pub fn from_solid_angle(x: f64) -> i64 {
     (x * (QUARTER_TURN as f64 / std::f64::consts::FRAC_PI_2)).round() as i64
 }
 
-/// The integer nearest to `lift` over the full sphere, away from zero on a tie, so that mirrored
-/// umbrellas have opposite lifts.
+/// Areas up to this much above half the sphere count as half the sphere: 4e-9 quarter turns. Less,
+/// and rounding would choose between 2 pi and -2 pi where the normals of an umbrella lie on a
+/// great circle, as they do around thin symmetric parts; much more would be a wrong area.
+const HALF_SPHERE_SLACK: i64 = 1 << 16;
+
+/// The integer nearest to `lift` over the full sphere; half a sphere is +2 pi, never -2 pi, so that
+/// mirrored umbrellas agree.
 #[inline]
 #[must_use]
 pub fn nearest_lift(lift: i64) -> i64 {
-    let size = (lift.abs() + SPHERE / 2) / SPHERE;
-    if lift < 0 { -size } else { size }
+    (lift + SPHERE / 2 - 1 - HALF_SPHERE_SLACK).div_euclid(SPHERE)
 }
 
 /// A sum of areas or tensor terms as a number.
@@ -82,6 +86,16 @@ mod tests {
     fn the_sphere_is_four_pi() {
         assert_eq!(from_solid_angle(4.0 * std::f64::consts::PI), SPHERE);
         assert!((to_solid_angle(i128::from(SPHERE)) - 4.0 * std::f64::consts::PI).abs() < 1e-15);
+    }
+
+    #[test]
+    fn half_a_sphere_is_positive_however_it_was_rounded() {
+        for slip in [-3, 0, 3] {
+            assert_eq!(nearest_lift(SPHERE / 2 + slip), 0);
+            assert_eq!(nearest_lift(-SPHERE / 2 + slip), -1);
+        }
+        assert_eq!(nearest_lift(SPHERE - 5), 1);
+        assert_eq!(nearest_lift(QUARTER_TURN), 0);
     }
 
     #[test]

@@ -8,7 +8,8 @@
 //! | program, sinks | [`FIXED_BYTES`], [`COLUMN_BYTES`] for each column of parts |
 //! | read buffer | one chunk of planes as stored, unless they are mapped |
 //! | bits, and the index of surfels | 11/16 byte a voxel (worst case) of R + 2 H + 6 S planes |
-//! | surfels in flight | [`Plan::surfel_bytes`] each, within [`Plan::surfel_budget_bytes`] |
+//! | surfels in flight | [`Plan::surfel_bytes`] each, within 3/4 of [`Plan::surfel_budget_bytes`] |
+//! | rows of a slab | [`Plan::row_bytes`] each, within 1/4 of it |
 //! | scratch of a worker | [`SCRATCH_BYTES`] a surfel of a brick with its halo |
 //!
 //! The number of surfels is only known when they are met, so slabs adapt: a slab is lowered until
@@ -67,10 +68,12 @@ pub struct Plan {
     pub scratch_bytes: u64,
     /// Memory of everything that does not depend on the volume, and of the sinks.
     pub fixed_bytes: u64,
-    /// Memory left for surfels in flight.
+    /// Memory left for surfels in flight, a quarter of it for the rows of a slab.
     pub surfel_budget_bytes: u64,
     /// Memory of a surfel in flight.
     pub surfel_bytes: u64,
+    /// Memory of a row, both as computed and as handed to the sinks.
+    pub row_bytes: u64,
 }
 
 /// Why there is no plan.
@@ -156,8 +159,8 @@ impl Plan {
         let lumped = balls.iter().all(|b| b.weights() == Weights::Lumped);
         let radii = balls.len() as u64;
         let row_bytes = 36 + radii * if request.directions { 44 } else { 20 };
-        // u and marks, measures, and a row both as computed and as written
-        let surfel_bytes = 26 + if lumped { 65 } else { 125 } + 2 * row_bytes;
+        // u, measures, marks
+        let surfel_bytes = 30 + if lumped { 65 } else { 125 };
         let [x, y, z] = lattice.dims.map(u64::from);
         let plane_bits = x.div_ceil(64) * 8 * y;
         let stored_plane = x * y * request.voxel_bytes;
@@ -234,6 +237,7 @@ impl Plan {
             fixed_bytes,
             surfel_budget_bytes: left - bits_bytes - scratch_bytes,
             surfel_bytes,
+            row_bytes: 2 * row_bytes,
         })
     }
 }

@@ -181,7 +181,7 @@ pub fn run(
         .thread_name(|i| format!("curvox-{i}"))
         .build()
         .map_err(|e| Error::Threads(e.to_string()))?;
-    let budget = Budget::new(plan.surfel_budget_bytes);
+    let budget = Budget::new(plan.surfel_budget_bytes / 4 * 3);
     let failed = AtomicBool::new(false);
     let shared = Shared {
         settings,

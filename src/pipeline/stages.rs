@@ -261,17 +261,15 @@ fn choose_slab(
     loop {
         let own = arrived.surfels(z..z + height);
         let bytes = (held + own) * shared.plan.surfel_bytes;
-        // Half the budget at most for what must be there, so that stages overlap.
-        let room = if height > 1 {
-            shared.budget.limit() / 2
-        } else {
-            shared.budget.limit()
-        };
-        if bytes <= room {
+        let rows = own * shared.plan.row_bytes;
+        let (room, room_of_rows) = (shared.budget.limit(), shared.plan.surfel_budget_bytes / 4);
+        // Some room is left for the next slab, so that stages overlap.
+        let ample = bytes <= room / 4 * 3 && rows <= room_of_rows;
+        if ample || height == 1 && bytes <= room && rows <= room_of_rows {
             return Ok((z + height, own));
         }
         if height == 1 {
-            let more = bytes - shared.budget.limit();
+            let more = bytes.saturating_sub(room) * 2 + rows.saturating_sub(room_of_rows) * 4;
             return Err(Error::TooDense {
                 plane: z,
                 surfels: held + own,

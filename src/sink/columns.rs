@@ -6,9 +6,9 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use arrow::array::{ArrayRef, Float32Array, Int8Array, Int32Array, UInt16Array};
-use arrow::datatypes::{DataType, Field, Schema, SchemaRef};
-use arrow::record_batch::RecordBatch;
+use arrow_array::RecordBatch;
+use arrow_array::{ArrayRef, Float32Array, Int8Array, Int32Array, UInt16Array};
+use arrow_schema::{DataType, Field, Schema, SchemaRef};
 
 use super::batch::{CurvatureColumns, SurfelBatch};
 use super::error::SinkError;
@@ -105,6 +105,16 @@ pub(crate) fn schema(info: &TableInfo) -> SchemaRef {
         Field::new(name, kind, false)
     });
     Arc::new(Schema::new(fields.collect::<Vec<_>>()))
+}
+
+/// Bytes of a row in memory.
+pub(crate) fn row_bytes(info: &TableInfo) -> u64 {
+    let widths = schema(info)
+        .fields()
+        .iter()
+        .map(|f| f.data_type().primitive_width())
+        .collect::<Vec<_>>();
+    widths.into_iter().flatten().map(|width| width as u64).sum()
 }
 
 /// Moves the rows out of `rows`, which keeps its shape but is empty afterwards.
@@ -209,6 +219,20 @@ impl SurfelBatch {
                 copy_triple(&mut to.d2, &from.d2, r);
             }
             copy(&mut to.flags, &from.flags, r);
+        }
+    }
+
+    /// Makes room for `rows` rows, in all columns but the directions, which are seldom there.
+    pub(crate) fn reserve_rows(&mut self, rows: usize) {
+        self.k.iter_mut().for_each(|column| column.reserve(rows));
+        self.side.reserve(rows);
+        let triples = self.position.iter_mut().chain(&mut self.normal);
+        triples.for_each(|column| column.reserve(rows));
+        self.area.reserve(rows);
+        for at in &mut self.curvatures {
+            let values = [&mut at.mean, &mut at.gaussian, &mut at.k1, &mut at.k2];
+            values.into_iter().for_each(|column| column.reserve(rows));
+            at.flags.reserve(rows);
         }
     }
 

@@ -7,6 +7,7 @@
 //! each column is open at a time.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -14,7 +15,7 @@ use parquet::errors::ParquetError;
 
 use super::SurfelSink;
 use super::batch::SurfelBatch;
-use super::columns::OrderCheck;
+use super::columns::{OrderCheck, ROW_GROUP_ROWS, row_bytes};
 use super::error::SinkError;
 use super::info::TableInfo;
 use super::output::{SURFELS_DIRECTORY, make_folder};
@@ -37,6 +38,8 @@ pub struct DatasetSink {
     /// Parts finished by the run that is resumed: their rows are not written again.
     kept: BTreeSet<u64>,
     done: Vec<PartRecord>,
+    /// Finished, or stopped by an error: nothing more may become a file.
+    closed: bool,
 }
 
 /// How far a column of parts is.
@@ -97,7 +100,18 @@ impl DatasetSink {
             recorder,
             kept,
             done,
+            closed: false,
         })
+    }
+
+    /// Memory the sink holds at most, besides the batches it is given: a row group of rows for
+    /// each column of parts, and one being encoded.
+    #[must_use]
+    pub fn memory_bytes(info: &TableInfo) -> u64 {
+        let [columns_x, columns_y] = Parts::new(info.dims).columns().map(u64::from);
+        // Encoded pages and the encoders' own buffers are about as large as the rows, each.
+        let groups = columns_x * columns_y + 2;
+        groups * row_bytes(info) * ROW_GROUP_ROWS as u64
     }
 
     /// Finished parts so far, by index; parts without rows included.
@@ -112,6 +126,64 @@ impl DatasetSink {
     #[must_use]
     pub fn is_kept(&self, part: u64) -> bool {
         self.kept.contains(&part)
+    }
+
+    /// Files of the parts a resumed run keeps, by part. Read back with [`super::OutputInfo`], their
+    /// rows give the other sinks what they would have received.
+    #[must_use]
+    pub fn kept_files(&self) -> Vec<(u64, PathBuf)> {
+        let files = self
+            .done
+            .iter()
+            .filter(|record| self.kept.contains(&record.part));
+        let mut files: Vec<_> = files
+            .filter_map(|record| Some((record.part, self.folder.join(record.file.as_ref()?))))
+            .collect();
+        files.sort();
+        files
+    }
+
+    /// Refuses anything after the end or an error; see [`SurfelSink`].
+    fn begin(&mut self) -> Result<(), SinkError> {
+        // Open again only when the operation has succeeded.
+        if std::mem::replace(&mut self.closed, true) {
+            return Err(SinkError::Contract(
+                "the table is closed or has failed".into(),
+            ));
+        }
+        Ok(())
+    }
+
+    /// Writes the rows `range`, all of one layer.
+    fn write_layer(
+        &mut self,
+        batch: &SurfelBatch,
+        range: Range<usize>,
+        layer: u32,
+    ) -> Result<(), SinkError> {
+        self.close_below(batch.column, layer)?;
+        let part = self.parts.index(layer, batch.column);
+        if self.kept.contains(&part) {
+            return Ok(());
+        }
+        let state = self.columns.entry(batch.column).or_default();
+        if state.layer > layer {
+            return Err(SinkError::Contract(format!(
+                "rows for part {part}, which is finished"
+            )));
+        }
+        let open = match &mut state.open {
+            Some(open) => open,
+            None => {
+                let path = self.folder.join(part_name(part));
+                state
+                    .open
+                    .insert(OpenPart::create(path, &self.format, &self.info)?)
+            }
+        };
+        open.encoder
+            .push(batch, range)
+            .map_err(|error| write_error(&open.path, error))
     }
 
     /// Finishes the layers of a column below `layer`, those without rows too.
@@ -145,52 +217,35 @@ impl DatasetSink {
             None => Ok(()),
         }
     }
-
-    fn open_part(&self, part: u64) -> Result<OpenPart, SinkError> {
-        let path = self.folder.join(part_name(part));
-        let file = WholeFile::create(&path).map_err(|error| error.with_note(PARTS_BEFORE))?;
-        let encoder = Encoder::new(Digesting::new(file), &self.format, &self.info)
-            .map_err(|error| write_error(&path, error))?;
-        Ok(OpenPart { path, encoder })
-    }
 }
 
 impl SurfelSink for DatasetSink {
     fn write(&mut self, batch: &SurfelBatch) -> Result<(), SinkError> {
+        self.begin()?;
         batch.check(&self.info)?;
         self.order.check(batch, &self.parts)?;
-        let column = batch.column;
         let mut from = 0;
         while from < batch.len() {
             let layer = self.parts.layer_of(batch.k[2][from]);
             let rest = &batch.k[2][from..];
             let to = from + rest.partition_point(|&kz| self.parts.layer_of(kz) == layer);
-            self.close_below(column, layer)?;
-            let part = self.parts.index(layer, column);
-            if !self.kept.contains(&part) {
-                let open = match self.columns.get_mut(&column).and_then(|c| c.open.take()) {
-                    Some(open) => open,
-                    None => self.open_part(part)?,
-                };
-                let Some(state) = self.columns.get_mut(&column) else {
-                    break;
-                };
-                let open = state.open.insert(open);
-                open.encoder
-                    .push(batch, from..to)
-                    .map_err(|e| write_error(&open.path, e))?;
-            }
+            self.write_layer(batch, from..to, layer)?;
             from = to;
         }
+        self.closed = false;
         Ok(())
     }
 
     fn advance(&mut self, column: [u32; 2], kz: i32) -> Result<(), SinkError> {
+        self.begin()?;
         // A coordinate at or beyond the image's end still belongs to the last layer.
-        self.close_below(column, self.parts.layer_of(kz))
+        self.close_below(column, self.parts.layer_of(kz))?;
+        self.closed = false;
+        Ok(())
     }
 
     fn finish(&mut self) -> Result<(), SinkError> {
+        self.begin()?;
         let columns: Vec<_> = self.columns.keys().copied().collect();
         columns
             .into_iter()
@@ -199,6 +254,13 @@ impl SurfelSink for DatasetSink {
 }
 
 impl OpenPart {
+    fn create(path: PathBuf, format: &TableFormat, info: &TableInfo) -> Result<Self, SinkError> {
+        let file = WholeFile::create(&path).map_err(|error| error.with_note(PARTS_BEFORE))?;
+        let encoder = Encoder::new(Digesting::new(file), format, info)
+            .map_err(|error| write_error(&path, error))?;
+        Ok(Self { path, encoder })
+    }
+
     fn close(self, part: u64) -> Result<PartRecord, SinkError> {
         let Self { path, encoder } = self;
         let (output, rows) = encoder

@@ -40,8 +40,9 @@ pub use summary::{
 
 /// A receiver of the rows of a run.
 ///
-/// [`SurfelSink::write`] any number of times, then [`SurfelSink::finish`] once. A sink dropped
-/// before `finish` leaves what is complete (whole parts, whole slices) and removes its temporary
+/// [`SurfelSink::write`] any number of times, then [`SurfelSink::finish`] once. After an error a
+/// sink refuses everything, so that nothing incomplete gets a name. A sink dropped before `finish`
+/// leaves what is complete (whole parts, whole slices) and removes its temporary
 /// files.
 pub trait SurfelSink: Send {
     /// Takes the next rows of a column of parts.

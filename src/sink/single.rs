@@ -13,8 +13,8 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use arrow::datatypes::SchemaRef;
-use arrow::ipc::writer::StreamWriter;
+use arrow_ipc::writer::StreamWriter;
+use arrow_schema::SchemaRef;
 
 use super::SurfelSink;
 use super::batch::SurfelBatch;
@@ -131,6 +131,10 @@ impl SingleSink {
     }
 }
 
+fn closed() -> SinkError {
+    SinkError::Contract("the table is closed or has failed".into())
+}
+
 fn refuse_columns(info: &TableInfo) -> Result<(), SinkError> {
     if Parts::new(info.dims).columns() == [1, 1] {
         return Ok(());
@@ -143,18 +147,17 @@ fn refuse_columns(info: &TableInfo) -> Result<(), SinkError> {
 
 impl SurfelSink for SingleSink {
     fn write(&mut self, batch: &SurfelBatch) -> Result<(), SinkError> {
+        // Put back only when all went well.
+        let mut table = self.table.take().ok_or_else(closed)?;
         batch.check(&self.info)?;
         self.order.check(batch, &Parts::new(self.info.dims))?;
-        match self.table.as_mut() {
-            Some(table) => table.rows(batch, &self.path),
-            None => Err(SinkError::Contract("rows after the end of a table".into())),
-        }
+        table.rows(batch, &self.path)?;
+        self.table = Some(table);
+        Ok(())
     }
 
     fn finish(&mut self) -> Result<(), SinkError> {
-        self.table
-            .take()
-            .map_or(Ok(()), |table| table.end(&self.path))
+        self.table.take().ok_or_else(closed)?.end(&self.path)
     }
 }
 

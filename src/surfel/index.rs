@@ -221,6 +221,32 @@ impl SurfelIndex {
         self.rank_at(row, x.start) as usize..self.rank_at(row, x.end) as usize
     }
 
+    /// How many surfels of one kind are in the cells `x` of a row.
+    #[inline]
+    #[must_use]
+    pub fn count(&self, kind: Kind, x: Range<i32>, y: i32, z: i32) -> u32 {
+        let row = self.row_start(kind, y, z);
+        let (from, to) = (
+            (x.start - self.cells.lo[0]) as usize,
+            (x.end - self.cells.lo[0]) as usize,
+        );
+        let (first, last) = (from / 64, to / 64);
+        let head = self.words[row + first] & !low_bits((from % 64) as u32);
+        let tail = low_bits((to % 64) as u32);
+        if first == last {
+            return (head & tail).count_ones();
+        }
+        let mut count = head.count_ones();
+        for word in &self.words[row + first + 1..row + last] {
+            count += word.count_ones();
+        }
+        // a row that ends with its last word has no word for its end
+        if tail != 0 {
+            count += (self.words[row + last] & tail).count_ones();
+        }
+        count
+    }
+
     /// Number of the surfel of a cell along an axis, if there is one. The cell must be covered.
     #[inline]
     #[must_use]

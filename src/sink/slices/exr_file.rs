@@ -318,7 +318,7 @@ fn mean_of(surfels: &[Pixel]) -> [f32; 9] {
 
 /// Text as EXR headers hold it, one byte a character; other characters become `?`.
 fn text(value: &str) -> Text {
-    let ascii = value.replace('±', "+-").replace('µ', "u").replace('μ', "u");
+    let ascii = value.replace('±', "+-").replace(['µ', 'μ'], "u");
     let bytes = ascii
         .chars()
         .map(|c| u8::try_from(c).ok().filter(u8::is_ascii).unwrap_or(b'?'));

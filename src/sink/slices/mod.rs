@@ -137,6 +137,8 @@ pub struct SliceSink {
     passed: BTreeMap<[u32; 2], i32>,
     held_bytes: u64,
     budget_bytes: u64,
+    /// Finished, or stopped by an error: nothing more may become a file.
+    closed: bool,
 }
 
 impl SliceSink {
@@ -185,6 +187,7 @@ impl SliceSink {
             passed,
             held_bytes: 0,
             budget_bytes,
+            closed: false,
         })
     }
 
@@ -192,6 +195,30 @@ impl SliceSink {
     #[must_use]
     pub fn file_name(axis: usize, index: u32) -> String {
         format!("{}{index:05}.exr", ['x', 'y', 'z'][axis])
+    }
+
+    /// Refuses anything after the end or an error; see [`SurfelSink`].
+    fn begin(&mut self) -> Result<(), SinkError> {
+        // Open again only when the operation has succeeded.
+        if std::mem::replace(&mut self.closed, true) {
+            return Err(SinkError::Contract(
+                "the slices are closed or have failed".into(),
+            ));
+        }
+        Ok(())
+    }
+
+    /// Notes that a column has passed `kz`, and writes what that completes.
+    fn pass(&mut self, column: [u32; 2], kz: i32) -> Result<(), SinkError> {
+        match self.passed.get_mut(&column) {
+            Some(passed) => *passed = kz.max(*passed),
+            None => {
+                return Err(SinkError::Contract(format!(
+                    "there is no column {column:?}"
+                )));
+            }
+        }
+        self.write_passed()
     }
 
     /// Writes the slices across z that no further row can touch.
@@ -301,32 +328,30 @@ fn inner_voxel(k: [i32; 3], side: i8, dims: [u32; 3]) -> Result<([u32; 3], u8), 
 
 impl SurfelSink for SliceSink {
     fn write(&mut self, batch: &SurfelBatch) -> Result<(), SinkError> {
+        self.begin()?;
         batch.check(&self.info)?;
         // Plane by plane, so that no more slices are open than need be.
         let mut from = 0;
         while from < batch.len() {
             let kz = batch.k[2][from];
             let to = from + batch.k[2][from..].partition_point(|&k| k <= kz);
-            self.advance(batch.column, kz)?;
+            self.pass(batch.column, kz)?;
             self.take(batch, from..to)?;
             from = to;
         }
+        self.closed = false;
         Ok(())
     }
 
     fn advance(&mut self, column: [u32; 2], kz: i32) -> Result<(), SinkError> {
-        match self.passed.get_mut(&column) {
-            Some(passed) => *passed = kz.max(*passed),
-            None => {
-                return Err(SinkError::Contract(format!(
-                    "there is no column {column:?}"
-                )));
-            }
-        }
-        self.write_passed()
+        self.begin()?;
+        self.pass(column, kz)?;
+        self.closed = false;
+        Ok(())
     }
 
     fn finish(&mut self) -> Result<(), SinkError> {
+        self.begin()?;
         while let Some((&index, _)) = self.open.first_key_value() {
             self.write_slice(index)?;
         }

@@ -241,6 +241,7 @@ fn a_resumed_run_leaves_the_same_parts() {
         [0, 1, 2].map(|part| sink.is_kept(part)),
         [false, true, false]
     );
+    assert_eq!(sink.kept_files().len(), 1);
     send(&mut sink, &rows, &info, &[]);
     sink.finish().unwrap();
     recorder.end(RunState::Complete, None).unwrap();
@@ -357,8 +358,15 @@ fn rows_out_of_order_or_place_are_refused() {
     let mut order = sink();
     order.write(&row([4, 3, 3], [0, 0])).unwrap();
     assert!(order.write(&row([2, 3, 3], [0, 0])).is_err());
+    // Nothing follows an error: the part that lacks a row must not get its name.
+    assert!(order.finish().is_err());
+    drop(order);
+    assert!(files_below(folder.path()).is_empty());
     assert!(sink().write(&row([4, 3, 3], [1, 0])).is_err());
     assert!(sink().write(&row([4, 3, 3], [0, 7])).is_err());
+    let mut early = DatasetSink::create(folder.path(), info.clone(), None).unwrap();
+    early.finish().unwrap();
+    assert!(early.write(&row([4, 3, 3], [0, 0])).is_err());
     let mut ragged = row([4, 3, 3], [0, 0]);
     ragged.curvatures[0].k1.clear();
     assert!(sink().write(&ragged).is_err());
@@ -398,4 +406,19 @@ fn only_an_empty_place_or_an_old_output_is_written_to() {
         .unwrap_err()
         .to_string();
     assert!(error.contains("is a file"), "{error}");
+}
+
+#[test]
+fn a_finished_part_is_not_opened_again() {
+    let info = info([20, 20, 200], 1, false);
+    let folder = tempdir().unwrap();
+    let mut rows = SurfelBatch::with_capacity(&info, 0);
+    push_row(&mut rows, &info, [3, 3, 20], 2, 1, &mut Noise(1));
+    let mut sink = DatasetSink::create(folder.path(), info.clone(), None).unwrap();
+    sink.advance([0, 0], 150).unwrap();
+    let error = sink.write(&rows).unwrap_err().to_string();
+    assert!(
+        error.contains("rows for part 0, which is finished"),
+        "{error}"
+    );
 }

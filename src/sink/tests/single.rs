@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 use std::sync::{Arc, Mutex};
 
-use arrow::ipc::reader::StreamReader;
+use arrow_ipc::reader::StreamReader;
 use tempfile::tempdir;
 
 use super::*;

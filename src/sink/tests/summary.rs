@@ -121,3 +121,25 @@ fn summary_file_is_json_with_fixed_order_and_no_nan() {
     assert_eq!(value["exact"]["closed"], true);
     assert_eq!(value["warnings"][0], "a warning");
 }
+
+/// What lets a resumed run make up the totals of the parts it keeps.
+#[test]
+fn rows_read_back_give_the_same_summary() {
+    let info = info([40, 40, 100], 1, true);
+    let rows = wavy_ball(&info);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("rows.parquet");
+    let mut table = SingleSink::parquet_file(&path, info.clone()).unwrap();
+    send(&mut table, &rows, &info, &[]);
+    table.finish().unwrap();
+    let mut sink = SummarySink::new(info.clone()).unwrap();
+    for batch in OutputInfo::open(&path, Check::Footers).unwrap().into_rows() {
+        sink.write(&batch.unwrap()).unwrap();
+    }
+    let mut direct = SummarySink::new(info.clone()).unwrap();
+    send(&mut direct, &rows, &info, &[]);
+    assert_eq!(
+        sink.summary(RunFacts::default()),
+        direct.summary(RunFacts::default())
+    );
+}

@@ -88,6 +88,9 @@ impl Cells {
     }
 }
 
+/// Areas of half the sphere up to this much more count as half the sphere, in units of mu2.
+const HALF_SPHERE_SLACK: i64 = 1 << 16;
+
 /// mu2 and the lift k of an umbrella.
 fn umbrella_mu2(surface: &Surface, umbrella: u32, swept: &[i64]) -> (i64, i64) {
     if !surface.umbrella_is_cycle[umbrella as usize] {
@@ -108,7 +111,8 @@ fn umbrella_mu2(surface: &Surface, umbrella: u32, swept: &[i64]) -> (i64, i64) {
             -swept[sheet]
         };
     }
-    let lift = nearest_quotient(lifted, 8 * QUARTER);
+    // An area of half the sphere could be + or - 2 pi: it is +, also if rounding made it a little more.
+    let lift = (lifted + 4 * QUARTER - 1 - HALF_SPHERE_SLACK).div_euclid(8 * QUARTER);
     (lifted - lift * 8 * QUARTER, lift)
 }
 
