@@ -68,7 +68,7 @@ pub(crate) fn show(style: Style, progress: &Progress, planes: u64, done: &Atomic
                     sizes::count(load(&progress.surfels_found))
                 ));
             }
-            Style::Lines if look % LOOKS_PER_LINE == 0 && look > 0 => {
+            Style::Lines if look > 0 && look.is_multiple_of(LOOKS_PER_LINE) => {
                 let line = json!({
                     "event": "progress",
                     "planes": planes,
