@@ -22,8 +22,52 @@ pub(crate) fn sentences(closed: bool) -> Vec<String> {
     .to_vec()
 }
 
-/// The end of `curvox --help` and `curvox run --help`.
-pub(crate) const CONVENTIONS_HELP: &str = "\
+/// What `curvox --help` says first.
+pub(crate) const LONG_ABOUT: &str = "\
+Corrected curvature of the boundary of what is in a 3D image, of any size
+
+Reads a volume plane by plane, finds the boundary surfels of the solid in it, and gives each its normal,
+mean, Gaussian and principal curvatures by the corrected curvature measures of Lachaud, Romon and
+Thibert. Memory is bounded by --memory, not by the size of the image; results are the same bytes
+whatever the memory, threads and bricks.";
+
+/// Examples of the whole program.
+pub(crate) const EXAMPLES: &str = "\
+Examples:
+  curvox info --values scan.nii.gz                  what it is, its values, the threshold of Otsu
+  curvox plan scan.nii.gz --threshold 300           what a run would take
+  curvox run scan.nii.gz --threshold 300 -o out     curvatures, into the directory out
+  curvox info out                                   what is there
+  curvox shape torus --gridstep 0.1 | curvox run - --threshold 1 -o out";
+
+/// Examples of `curvox run`.
+pub(crate) const RUN_EXAMPLES: &str = "\
+Examples:
+  curvox run scan.nii.gz --threshold 300 -o out
+  curvox run labels.nii.gz --label 3 --radius 3vx,6vx --directions -o out
+  curvox run scan.raw --dims 2048,2048,1500 --dtype u16le --spacing 0.65um --otsu -o out
+  curvox run scan.npy --spacing 1,1,2um --range 80..120 --radius 12um --slices every:50 -o out
+  curvox run scan.vol --threshold 1 --method paper -o table.parquet
+  zcat scan.npy.gz | curvox run - --threshold 0.5 -o - | head";
+
+/// Examples of `curvox shape`.
+pub(crate) const SHAPE_EXAMPLES: &str = "\
+Examples:
+  curvox shape --list
+  curvox shape goursat --gridstep 0.25 | curvox run - --threshold 1 --radius 6vx -o out
+  curvox shape sphere:radius=9 --gridstep 0.5,0.5,1 -o ball.nii
+  curvox shape torus --gridstep 0.1 --noise 0.3 --seed 7 -o noisy.nii
+
+Voxels are 1 inside and 0 outside. The shapes have units of their own, which is no unit of the
+world: the volume carries its voxel size without a unit, and radii are typed in voxels.";
+
+/// Examples, conventions, exit codes.
+pub(crate) fn long_help(examples: &str) -> String {
+    format!("{examples}\n\n{CONVENTIONS_HELP}\n\n{EXIT_HELP}")
+}
+
+/// The conventions in brief.
+const CONVENTIONS_HELP: &str = "\
 Conventions:
   A triple is (x, y, z), x fastest. Voxel p covers the unit cube centred at p.
   Normals point outward. A convex body has H > 0; a sphere of radius R has H = 1/R, G = 1/R^2.

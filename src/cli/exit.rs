@@ -1,6 +1,6 @@
 //! Exit codes, and which error gives which.
 
-use std::io;
+use std::io::{self, Write};
 
 use curvox_formats::ErrorKind;
 
@@ -37,6 +37,28 @@ pub(crate) fn usage(message: impl Into<String>) -> anyhow::Error {
 /// An error of writing a text to standard output.
 pub(crate) fn stdout_error(source: io::Error) -> anyhow::Error {
     SinkError::io(std::path::Path::new("standard output"), "write", source).into()
+}
+
+/// Writes a text to standard output.
+pub(crate) fn print(text: &str) -> anyhow::Result<()> {
+    let mut out = io::stdout().lock();
+    out.write_all(text.as_bytes())
+        .and_then(|()| out.flush())
+        .map_err(stdout_error)
+}
+
+/// An error and its causes on one line; a cause that is told already is not told twice.
+pub(crate) fn message(error: &anyhow::Error) -> String {
+    let mut text = String::new();
+    for cause in error.chain() {
+        let cause = cause.to_string();
+        if text.is_empty() {
+            text = cause;
+        } else if !text.contains(&cause) {
+            text = format!("{text}: {cause}");
+        }
+    }
+    text
 }
 
 /// The exit code of an error. 0 for a reader of a pipe that went away: it has all it wanted.
@@ -90,6 +112,18 @@ fn code_of_sink(error: &SinkError) -> u8 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn causes_are_told_once() {
+        let full = io::Error::other("disk on fire");
+        let error = anyhow::Error::from(curvox_formats::Error::io("a.nii", "cannot be read", full));
+        assert_eq!(message(&error), "a.nii: cannot be read: disk on fire");
+        let error = error.context("first");
+        assert_eq!(
+            message(&error),
+            "first: a.nii: cannot be read: disk on fire"
+        );
+    }
 
     #[test]
     fn codes_follow_the_kind_of_error_through_contexts() {

@@ -3,7 +3,7 @@
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use clap::{Args, ValueEnum};
 use curvox_formats::{
     DType, Format, IoMode, OpenOptions, RawLayout, Unit, Volume, VoxelType, open, open_stream,
@@ -275,11 +275,4 @@ pub(crate) fn unit_name(volume: &Volume) -> &'static str {
 pub(crate) fn modified(path: &Path) -> Option<u64> {
     let time = std::fs::metadata(path).ok()?.modified().ok()?;
     Some(time.duration_since(std::time::UNIX_EPOCH).ok()?.as_secs())
-}
-
-/// An error of opening, with what to do about it where that helps.
-pub(crate) fn opened(input: &InputArgs) -> Result<Volume> {
-    input
-        .open()
-        .with_context(|| format!("cannot use {} as a volume", input.name()))
 }

@@ -64,7 +64,7 @@ pub(crate) struct Job {
 impl JobArgs {
     /// Opens the input and settles everything before the first voxel is used.
     pub(crate) fn prepare(&self, stop: &AtomicBool) -> Result<Job> {
-        let volume = input::opened(&self.input)?;
+        let volume = self.input.open()?;
         let lattice = input::lattice(&volume, self.method.closed)?;
         // Mistakes of the command line are found before a long pass over the data.
         let method = self.method.resolve(&lattice, volume.header.unit)?;

@@ -7,14 +7,18 @@
 
 mod conventions;
 mod exit;
+mod generate;
+mod info;
 mod input;
 mod job;
 mod lengths;
 mod method;
 mod output;
+mod plan;
 mod progress;
 mod report;
 mod run;
+mod shape;
 mod signals;
 mod sizes;
 mod values;
@@ -22,7 +26,7 @@ mod values;
 use std::io::Write;
 use std::process::ExitCode;
 
-use clap::{ArgAction, Parser, Subcommand};
+use clap::{ArgAction, CommandFactory, Parser, Subcommand};
 use serde_json::json;
 
 /// Arguments of the process.
@@ -31,6 +35,9 @@ use serde_json::json;
     name = "curvox",
     version,
     about = "Corrected curvature of the boundary of what is in a 3D image, of any size",
+    long_about = conventions::LONG_ABOUT,
+    after_help = conventions::EXIT_HELP,
+    after_long_help = conventions::long_help(conventions::EXAMPLES),
     arg_required_else_help = true,
     max_term_width = 100
 )]
@@ -46,7 +53,27 @@ struct Cli {
 #[derive(Subcommand, Debug)]
 enum Command {
     /// Compute curvatures of the boundary of what is in a volume
+    #[command(
+        after_help = conventions::EXIT_HELP,
+        after_long_help = conventions::long_help(conventions::RUN_EXAMPLES)
+    )]
     Run(Box<run::RunArgs>),
+    /// Tell what a run would take, without running it: cut, memory, columns, size of the output
+    #[command(after_help = conventions::EXIT_HELP)]
+    Plan(Box<plan::PlanArgs>),
+    /// Tell what a volume is, or what a run left
+    #[command(after_help = conventions::EXIT_HELP)]
+    Info(Box<info::InfoArgs>),
+    /// Digitise a shape of known curvature
+    #[command(
+        after_help = conventions::EXIT_HELP,
+        after_long_help = conventions::long_help(conventions::SHAPE_EXAMPLES)
+    )]
+    Shape(Box<shape::ShapeArgs>),
+    /// Print completions for a shell
+    Completions(generate::CompletionsArgs),
+    /// Print the manual, or write its pages
+    Man(generate::ManArgs),
 }
 
 /// The whole program.
@@ -73,10 +100,10 @@ pub fn main() -> ExitCode {
             let code = exit::code(&error);
             if code != exit::DONE {
                 let text = if json {
-                    json!({"event": "error", "code": code, "message": format!("{error:#}")})
+                    json!({"event": "error", "code": code, "message": exit::message(&error)})
                         .to_string()
                 } else {
-                    format!("curvox: {error:#}")
+                    format!("curvox: {}", exit::message(&error))
                 };
                 // Nobody may be reading; the code says it all the same.
                 let _ = writeln!(std::io::stderr(), "{text}");
@@ -91,12 +118,20 @@ impl Command {
     fn json(&self) -> bool {
         match self {
             Command::Run(args) => args.job.output.json,
+            Command::Plan(args) => args.job.output.json,
+            Command::Info(args) => args.json,
+            Command::Shape(_) | Command::Completions(_) | Command::Man(_) => false,
         }
     }
 
     fn run(&self, verbose: bool, stop: &std::sync::atomic::AtomicBool) -> anyhow::Result<()> {
         match self {
             Command::Run(args) => run::run(args, verbose, stop),
+            Command::Plan(args) => plan::run(args, stop),
+            Command::Info(args) => info::run(args, stop),
+            Command::Shape(args) => shape::run(args, stop),
+            Command::Completions(args) => generate::completions(args, Cli::command()),
+            Command::Man(args) => generate::man(args, Cli::command()),
         }
     }
 }

@@ -131,6 +131,17 @@ impl OutputArgs {
         Ok(target)
     }
 
+    /// Where the results would go, if that is said.
+    ///
+    /// # Errors
+    /// As [`OutputArgs::target`], except that nothing need be said.
+    pub(crate) fn maybe_target(&self) -> Result<Option<Target>> {
+        match self.output {
+            Some(_) => self.target().map(Some),
+            None => Ok(None),
+        }
+    }
+
     /// The slices chosen.
     fn selection(&self) -> Result<Option<SliceSelection>> {
         let Some(text) = &self.slices else {

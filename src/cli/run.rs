@@ -77,7 +77,7 @@ pub(crate) fn run(args: &RunArgs, verbose: bool, stop: &AtomicBool) -> Result<()
     if let Some(recorder) = recorder {
         let (state, message) = match &result {
             Ok(_) => (RunState::Complete, None),
-            Err(error) => (RunState::Failed, Some(format!("{error:#}"))),
+            Err(error) => (RunState::Failed, Some(exit::message(error))),
         };
         // The first error is the one to report.
         recorder.end(state, message).or_else(
