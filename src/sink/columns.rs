@@ -6,9 +6,9 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use arrow::array::{ArrayRef, Float32Array, Int8Array, Int32Array, UInt16Array};
-use arrow::datatypes::{DataType, Field, Schema, SchemaRef};
-use arrow::record_batch::RecordBatch;
+use arrow_array::{ArrayRef, Float32Array, Int8Array, Int32Array, UInt16Array};
+use arrow_schema::{DataType, Field, Schema, SchemaRef};
+use arrow_array::RecordBatch;
 
 use super::batch::{CurvatureColumns, SurfelBatch};
 use super::error::SinkError;

@@ -13,10 +13,13 @@ mod info;
 mod output;
 mod parquet;
 mod parts;
+mod read;
 mod run_record;
 mod single;
 mod slices;
 mod summary;
+#[cfg(test)]
+mod tests;
 mod whole_file;
 
 pub use batch::{CurvatureColumns, Flag, FlagSet, SurfelBatch};
@@ -26,6 +29,7 @@ pub use error::SinkError;
 pub use info::{RadiusInfo, TableInfo};
 pub use output::{REPORT_FILE, SLICES_DIRECTORY, SUMMARY_FILE, SURFELS_DIRECTORY, prepare_output};
 pub use parts::{PART_EDGE, PART_PLANES, Parts};
+pub use read::{Check, OutputInfo, RowReader};
 pub use run_record::{PartRecord, RUN_FILE, RunRecord, RunRecorder, RunState};
 pub use single::{STDOUT, SingleSink};
 pub use slices::{Palette, SliceError, SliceMemory, SliceOptions, SliceSelection, SliceSink};

@@ -46,7 +46,7 @@ pub struct PartRecord {
     pub rows: u64,
     /// Size of the file.
     pub bytes: u64,
-    /// `xxh64:` and 16 hexadecimal digits, as `xxhsum -H64` prints them; `None` without a file.
+    /// `xxh64:` and 16 hexadecimal digits, as `xxh64sum` prints them; `None` without a file.
     pub checksum: Option<String>,
 }
 

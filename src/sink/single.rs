@@ -13,8 +13,8 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use arrow::datatypes::SchemaRef;
-use arrow::ipc::writer::StreamWriter;
+use arrow_schema::SchemaRef;
+use arrow_ipc::writer::StreamWriter;
 
 use super::SurfelSink;
 use super::batch::SurfelBatch;

@@ -60,7 +60,7 @@ impl Palette {
         let [negative, positive] = self.ends();
         let end = if t < 0.0 { negative } else { positive };
         let share = t.abs().min(1.0);
-        end.map(|channel| 1.0 + (channel - 1.0) * share)
+        end.map(|channel| (1.0 - share) + channel * share)
     }
 }
 

@@ -1,0 +1,282 @@
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use curvox::curvature::Curvature;
+use curvox::lattice::Lattice;
+use curvox::measure::ball::{BallKernel, BallScratch, BallSums, LocalMeasures, Weights};
+use curvox::measure::cells::{CellTotals, Keep, evaluate, mark};
+use curvox::measure::surface::Surface;
+use curvox::normal::NormalKernel;
+use curvox::pipeline::{Outcome, Progress, Settings, Source, run};
+use curvox::sink::{SinkError, SurfelBatch, SurfelSink};
+use curvox::surfel::CellBox;
+use curvox::volume::{Binarizer, BitPlane, Criterion, PlaneWindow, SolidCounts};
+use curvox_formats::{DType, OpenOptions, RawLayout, Unit, VoxelType, open_stream};
+use curvox_tools::plain::Solid;
+use glam::DVec3;
+
+/// Counter-based random numbers in [0, 1).
+pub struct Random(pub u64);
+
+impl Random {
+    pub fn next(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((z ^ z >> 31) >> 11) as f64 / (1u64 << 53) as f64
+    }
+}
+
+/// Each voxel inside with probability `p`.
+pub fn noise(dims: [usize; 3], p: f64, seed: u64) -> Solid {
+    let mut random = Random(seed);
+    let inside = (0..dims.iter().product())
+        .map(|_| random.next() < p)
+        .collect();
+    Solid { dims, inside }
+}
+
+/// A lumpy blob with noise at its rim: curved, flat and torn places.
+pub fn blob(dims: [usize; 3], seed: u64) -> Solid {
+    let mut random = Random(seed);
+    let balls: Vec<[f64; 4]> = (0..5)
+        .map(|_| {
+            let c = [0, 1, 2].map(|a: usize| dims[a] as f64 * (0.2 + 0.6 * random.next()));
+            [
+                c[0],
+                c[1],
+                c[2],
+                dims.iter().min().map_or(1.0, |&n| n as f64) * (0.1 + 0.2 * random.next()),
+            ]
+        })
+        .collect();
+    let mut noise = Random(seed ^ 77);
+    Solid::from_fn(dims, |p| {
+        balls.iter().any(|b| {
+            let d = [0, 1, 2].map(|a| f64::from(p[a]) - b[a]);
+            (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt() <= b[3]
+        })
+    })
+    .with_flips(&mut noise, 0.01)
+}
+
+pub trait WithFlips {
+    fn with_flips(self, random: &mut Random, p: f64) -> Self;
+}
+
+impl WithFlips for Solid {
+    fn with_flips(mut self, random: &mut Random, p: f64) -> Self {
+        for voxel in &mut self.inside {
+            *voxel ^= random.next() < p;
+        }
+        self
+    }
+}
+
+pub fn lattice(solid: &Solid, spacing: [f64; 3], closed: bool) -> Lattice {
+    Lattice::new(solid.dims.map(|n| n as u64), spacing, closed).unwrap()
+}
+
+/// The voxels of a solid as bits.
+pub fn window(solid: &Solid) -> PlaneWindow {
+    let dims = solid.dims.map(|n| n as u32);
+    let planes = solid
+        .inside
+        .chunks(solid.dims[0] * solid.dims[1])
+        .map(|stored| {
+            let mut plane = BitPlane::outside(dims[0], dims[1]);
+            for (row, out) in stored.chunks(solid.dims[0]).zip(plane.rows_mut()) {
+                for (x, &inside) in row.iter().enumerate() {
+                    out[x / 64] |= u64::from(inside) << (x % 64);
+                }
+            }
+            Arc::new(plane)
+        })
+        .collect();
+    PlaneWindow {
+        dims,
+        z0: 0,
+        planes,
+    }
+}
+
+/// One surfel as computed in full precision, the volume taken as a single brick.
+pub struct FullRow {
+    pub k: [i32; 3],
+    pub orientation: u8,
+    pub u: DVec3,
+    pub marks: u8,
+    pub sums: BallSums,
+    pub curvature: Option<Curvature>,
+}
+
+/// All of a volume as a single brick, at the first radius.
+pub struct Whole {
+    pub rows: Vec<FullRow>,
+    pub totals: CellTotals,
+    pub solid: SolidCounts,
+}
+
+pub fn whole(solid: &Solid, settings: &Settings) -> Whole {
+    let lattice = &settings.lattice;
+    let window = window(solid);
+    let core = CellBox {
+        lo: [0; 3],
+        hi: lattice.cell_dims(),
+    };
+    let surface = Surface::extract(&window, core, lattice, settings.adjacency);
+    let normals = NormalKernel::new(settings.estimator, lattice, settings.adjacency)
+        .unwrap()
+        .estimate(&window, lattice, core, &surface.surfels);
+    let marks: Vec<u8> = normals
+        .degenerate
+        .iter()
+        .map(|&d| if d { mark::DEGENERATE } else { 0 })
+        .collect();
+    let keep = if settings.weights == Weights::Lumped {
+        Keep::Lumped
+    } else {
+        Keep::Cells
+    };
+    let (cells, totals) = evaluate(&surface, core, lattice.edges(), &normals.u, &marks, keep);
+    let marks = cells.marks.clone();
+    let measures = LocalMeasures::new(&surface, cells);
+    let ball = BallKernel::new(
+        settings.radii[0],
+        settings.extent,
+        settings.weights,
+        lattice,
+    )
+    .unwrap();
+    let mut scratch = BallScratch::default();
+    let rows = (0..surface.len())
+        .map(|i| {
+            let sums = ball.sum(&surface, &measures, i, &mut scratch);
+            FullRow {
+                k: surface.surfels.khalimsky(i),
+                orientation: surface.surfels.list[i].orientation,
+                u: normals.u[i],
+                marks: marks[i],
+                curvature: Curvature::from_sums(&sums, normals.u[i], lattice.voxel_unit_world()),
+                sums,
+            }
+        })
+        .collect();
+    let mut counts = SolidCounts::default();
+    for z in 0..=lattice.dims[2] as i32 {
+        counts.add(&SolidCounts::of_plane(&window, z));
+    }
+    Whole {
+        rows,
+        totals,
+        solid: counts,
+    }
+}
+
+/// Keeps all rows.
+#[derive(Default)]
+pub struct Collected(pub Vec<SurfelBatch>);
+
+impl SurfelSink for Collected {
+    fn write(&mut self, batch: &SurfelBatch) -> Result<(), SinkError> {
+        self.0.push(batch.clone());
+        Ok(())
+    }
+
+    fn finish(&mut self) -> Result<(), SinkError> {
+        Ok(())
+    }
+}
+
+impl Collected {
+    /// All rows as one batch, whatever the cut.
+    pub fn joined(self) -> SurfelBatch {
+        let mut all = SurfelBatch::default();
+        for batch in self.0 {
+            if all.curvatures.is_empty() {
+                all.curvatures = vec![Default::default(); batch.curvatures.len()];
+            }
+            for a in 0..3 {
+                all.k[a].extend(&batch.k[a]);
+                all.position[a].extend(&batch.position[a]);
+                all.normal[a].extend(&batch.normal[a]);
+            }
+            all.side.extend(&batch.side);
+            all.area.extend(&batch.area);
+            for (all, from) in all.curvatures.iter_mut().zip(&batch.curvatures) {
+                all.mean.extend(&from.mean);
+                all.gaussian.extend(&from.gaussian);
+                all.k1.extend(&from.k1);
+                all.k2.extend(&from.k2);
+                all.flags.extend(&from.flags);
+                for a in 0..3 {
+                    all.d1[a].extend(&from.d1[a]);
+                    all.d2[a].extend(&from.d2[a]);
+                }
+            }
+        }
+        all
+    }
+}
+
+/// The voxels of a solid as an open volume.
+pub fn source(solid: &Solid) -> Source {
+    let bytes: Vec<u8> = solid.inside.iter().map(|&v| u8::from(v)).collect();
+    let options = OpenOptions {
+        raw: Some(RawLayout {
+            dims: solid.dims.map(|n| n as u64),
+            dtype: DType::little(VoxelType::U8),
+            spacing: None,
+            unit: Unit::Unknown,
+            skip: 0,
+        }),
+        ..Default::default()
+    };
+    let volume = open_stream(Box::new(std::io::Cursor::new(bytes)), "test", &options).unwrap();
+    let header = &volume.header;
+    let criterion = Criterion::AtLeast(1i128.into());
+    let binarizer = Binarizer::new(criterion, header.voxel, header.byte_order, header.scaling);
+    Source { volume, binarizer }
+}
+
+/// Runs the pipeline on a solid.
+pub fn piped(solid: &Solid, settings: &Settings) -> (SurfelBatch, Outcome) {
+    let plan = settings.plan(1, true, 0).unwrap();
+    let mut rows = Collected::default();
+    let outcome = run(
+        source(solid),
+        settings,
+        &plan,
+        &mut [&mut rows],
+        &Progress::default(),
+        &AtomicBool::new(false),
+    )
+    .unwrap();
+    (rows.joined(), outcome)
+}
+
+/// Bits of all floats, so that NaN equals itself.
+pub fn bits(batch: &SurfelBatch) -> Vec<u64> {
+    let mut out: Vec<u64> = Vec::new();
+    let mut ints = |v: &[i32]| out.extend(v.iter().map(|&x| x as u64));
+    batch.k.iter().for_each(|v| ints(v));
+    out.extend(batch.side.iter().map(|&x| x as u64));
+    let mut floats = |v: &[f32]| out.extend(v.iter().map(|x| u64::from(x.to_bits())));
+    batch
+        .position
+        .iter()
+        .chain(&batch.normal)
+        .for_each(|v| floats(v));
+    floats(&batch.area);
+    for c in &batch.curvatures {
+        for v in [&c.mean, &c.gaussian, &c.k1, &c.k2] {
+            floats(v);
+        }
+        c.d1.iter().chain(&c.d2).for_each(|v| floats(v));
+    }
+    for c in &batch.curvatures {
+        out.extend(c.flags.iter().map(|&f| u64::from(f)));
+    }
+    out
+}
