@@ -2,9 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use crate::plain::algebra::{
-    ENTRIES, Symmetric, Vector, cross, determinant, dot, norm, normalised, scaled,
-};
+use crate::plain::algebra::{ENTRIES, Symmetric, Vector, cross, determinant, dot, norm, scaled};
 
 use super::mesh::{Linel, Mesh};
 
@@ -73,11 +71,10 @@ fn linel_measures(linel: &Linel, u: &[Vector]) -> (f64, Symmetric) {
     if sine < MIN_SINE {
         return nothing;
     }
-    let e1 = scaled(c, 1.0 / sine);
-    // Never more than 90 degrees: this is the fold.
+    let e1 = divided(c, sine);
+    // Never more than 90 degrees: this is the fold. A folded tensor depends on which face is left.
     let psi = sine.asin();
-    let mut e = [0.0; 3];
-    e[linel.axis] = 1.0;
+    let e = linel.direction.map(f64::from);
     // u_right turns by psi about e1: v = cos u_right + sin w. Minus muXY is minus the integral
     // of (e x v) (x) (e1 x v), where e x v = cos a + sin b and e1 x v = cos w - sin u_right.
     let w = cross(e1, u_right);
@@ -103,7 +100,7 @@ fn fan_area(normals: &[Vector]) -> f64 {
     if norm(mean) < MIN_SINE {
         return 0.0;
     }
-    let mean = normalised(mean);
+    let mean = divided(mean, norm(mean));
     let nexts = normals.iter().cycle().skip(1);
     normals
         .iter()
@@ -114,7 +111,7 @@ fn fan_area(normals: &[Vector]) -> f64 {
 
 /// The signed area of a spherical triangle by its angles; 0 if it is thin.
 fn triangle_area(a: Vector, b: Vector, c: Vector) -> f64 {
-    let [a, b, c] = [a, b, c].map(normalised);
+    let [a, b, c] = [a, b, c].map(|x| divided(x, norm(x)));
     let side = |x: Vector, y: Vector| norm([0, 1, 2].map(|i| x[i] - y[i]));
     let mut sides = [side(a, b), side(a, c), side(b, c)];
     sides.sort_by(f64::total_cmp);
@@ -127,7 +124,7 @@ fn triangle_area(a: Vector, b: Vector, c: Vector) -> f64 {
         let length = norm(p);
         (length > MIN_SIDE).then(|| {
             let sign = if dot(p, towards) < 0.0 { -1.0 } else { 1.0 };
-            scaled(p, sign / length)
+            scaled(divided(p, length), sign)
         })
     };
     let (Some(pa), Some(pb), Some(pc)) = (polar(b, c, a), polar(c, a, b), polar(a, b, c)) else {
@@ -137,7 +134,7 @@ fn triangle_area(a: Vector, b: Vector, c: Vector) -> f64 {
     if angles.contains(&0.0) {
         return 0.0;
     }
-    let area = TAU - angles.iter().sum::<f64>();
+    let area = TAU - angles[0] - angles[1] - angles[2];
     let size = |x: Vector| x.iter().map(|x| x.abs()).sum::<f64>();
     let from_a = |x: Vector| [0, 1, 2].map(|i| x[i] - a[i]);
     let plane = cross(from_a(b), from_a(c));
@@ -149,4 +146,8 @@ fn triangle_area(a: Vector, b: Vector, c: Vector) -> f64 {
     } else {
         area
     }
+}
+
+fn divided(a: Vector, by: f64) -> Vector {
+    a.map(|x| x / by)
 }

@@ -9,9 +9,11 @@ use crate::plain::Surfel;
 pub struct Linel {
     /// Khalimsky coordinates.
     pub k: [i32; 3],
-    /// The axis of the one odd coordinate.
-    pub axis: usize,
-    /// Faces whose boundary runs along it in the direction of `axis`.
+    /// Its ends, the pointel of smaller number first.
+    pub ends: [u32; 2],
+    /// The unit direction from its first end to its second.
+    pub direction: [i32; 3],
+    /// Faces whose boundary runs along it in this direction.
     pub left: Vec<u32>,
     /// Faces whose boundary runs against it.
     pub right: Vec<u32>,
@@ -33,11 +35,7 @@ impl Linel {
 
     /// Its middle and its two ends.
     pub fn points(&self) -> [[i32; 3]; 3] {
-        let end = |sign: i32| {
-            let mut k = self.k;
-            k[self.axis] += sign;
-            k
-        };
+        let end = |sign: i32| [0, 1, 2].map(|a| self.k[a] + sign * self.direction[a]);
         [self.k, end(-1), end(1)]
     }
 }
@@ -70,7 +68,8 @@ impl Mesh {
         let mut pointel_at: HashMap<[i32; 3], u32> = HashMap::new();
         let mut linel_at: HashMap<[i32; 3], u32> = HashMap::new();
         for (f, surfel) in (0u32..).zip(&surfels) {
-            corners.push([0, 1, 2, 3].map(|corner| {
+            let mut numbers = [0; 4];
+            for corner in corners_in_order(surfel) {
                 let k = surfel.pointel(corner);
                 let pointel = *pointel_at.entry(k).or_insert_with(|| {
                     pointels.push(k);
@@ -78,27 +77,29 @@ impl Mesh {
                     pointels.len() as u32 - 1
                 });
                 faces_at[pointel as usize].push(f);
-                pointel
-            }));
+                numbers[corner] = pointel;
+            }
+            corners.push(numbers);
+        }
+        for (f, (surfel, corners)) in (0u32..).zip(surfels.iter().zip(&corners)) {
             let steps = surfel.steps();
             linels_of.push([0, 1, 2, 3].map(|side| {
                 // The boundary runs along a side in the direction of the next.
-                let along = steps[(side + 1) % 4];
+                let (from, to) = (corners[(side + 3) % 4], corners[side]);
+                let is_left = from < to;
                 let k = surfel.linel(side);
                 let linel = *linel_at.entry(k).or_insert_with(|| {
+                    let sign = if is_left { 1 } else { -1 };
                     linels.push(Linel {
                         k,
-                        axis: along.iter().position(|&a| a != 0).unwrap_or_default(),
+                        ends: [from.min(to), from.max(to)],
+                        direction: steps[(side + 1) % 4].map(|step| sign * step),
                         ..Linel::default()
                     });
                     linels.len() as u32 - 1
                 });
                 let at = &mut linels[linel as usize];
-                if along[at.axis] > 0 {
-                    at.left.push(f);
-                } else {
-                    at.right.push(f);
-                }
+                if is_left { &mut at.left } else { &mut at.right }.push(f);
                 linel
             }));
         }
@@ -134,4 +135,21 @@ impl Mesh {
         }
         Some(chain.into_iter().map(|(f, _, _)| f).collect())
     }
+}
+
+/// The corners of a face as DGtal visits them: counter-clockwise seen from outside, from the lower end of both
+/// axes of the face or, if that would run the other way round, from the upper end of the first.
+///
+/// It numbers the pointels, and the numbers tell on which side of a linel a face is.
+fn corners_in_order(surfel: &Surfel) -> [usize; 4] {
+    let (first_axis, second_axis) = [(1, 2), (0, 2), (0, 1)][surfel.axis];
+    // e_0 x e_2 points against e_1; the two other products point along the axis.
+    let turns = if surfel.axis == 1 { -1 } else { 1 };
+    let towards = surfel.sign * turns;
+    let start = (0..4).find(|&corner| {
+        let k = surfel.pointel(corner);
+        k[first_axis] - surfel.k[first_axis] == towards && k[second_axis] < surfel.k[second_axis]
+    });
+    let start = start.unwrap_or(0);
+    [0, 1, 2, 3].map(|corner| (start + corner) % 4)
 }
