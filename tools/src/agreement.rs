@@ -79,7 +79,11 @@ pub struct Comparison {
     pub columns: Vec<Column>,
     /// Every cause.
     pub tallies: Vec<Tally>,
-    /// The largest difference of mu2 at a pointel with no cause of its own.
+    /// Rows where G agrees though there are fans in the ball, because what they add cancels.
+    pub cancelled: usize,
+    /// Normals that differ, but only in sign.
+    pub opposite_normals: usize,
+    /// The largest difference of mu2 at a pointel whose chain is an umbrella, modulo 4 pi.
     pub largest_remainder: f64,
 }
 
@@ -242,6 +246,7 @@ impl Case<'_> {
             self.radius_world / self.scale.unit_world,
             Weights::Dgtal,
         );
+        let (mut cancelled, mut opposite_normals) = (0, 0);
         let mut walk = Walk::new(&self.surface);
         let mut gathered = dgtal::Ball::new(&self.mesh, self.radius_world / self.gridstep);
         for (i, &f) in self.order.iter().enumerate() {
@@ -256,6 +261,12 @@ impl Case<'_> {
                 (u[i], e.mean, e.gaussian, [e.k1, e.k2], [e.d1, e.d2]),
             ]
             .map(|values| expected.differences(i, u[i], values));
+            let turned = difference(scaled(row.u, -1.0), u[i]) <= SAME_NORMAL;
+            opposite_normals += usize::from(turned);
+            let turns = gathered.pointels.iter().map(|&p| causes.turns[p as usize]);
+            let only_fans = of_row.gaussian.is_only(Cause::Fan);
+            let agrees = plain[2].total_cmp(&columns[2].bound).is_le();
+            cancelled += usize::from(only_fans && agrees && turns.sum::<i64>() == 0);
             let mut differs = [false; 2];
             for (j, column) in columns.iter_mut().enumerate() {
                 column.emulated.add(emulated[j], column.bound);
@@ -284,6 +295,8 @@ impl Case<'_> {
             },
             columns,
             tallies: tallies.to_vec(),
+            cancelled,
+            opposite_normals,
             largest_remainder: causes.largest_remainder,
         })
     }

@@ -7,7 +7,7 @@
 use std::f64::consts::PI;
 
 use crate::dgtal;
-use crate::plain::algebra::{Vector, dot};
+use crate::plain::algebra::{Vector, dot, norm};
 use crate::plain::cells::MU2_UNIT;
 use crate::plain::{Ball, Cells, Surface, Walk};
 
@@ -26,7 +26,8 @@ pub enum Cause {
     DroppedPointel,
     /// The surfels around a pointel are chained otherwise than in one umbrella.
     Chain,
-    /// The fan around the mean normal is a multiple of 4 pi away.
+    /// The fan around the mean normal is a multiple of 4 pi away, or two normals in a row are opposite,
+    /// so that no arc joins them. Only where the normals lie in no hemisphere: the paper's condition (iii).
     Fan,
 }
 
@@ -81,6 +82,9 @@ pub struct RowCauses {
     pub gaussian: CauseSet,
 }
 
+/// Normals whose sum is shorter are opposite: rounding decides where the arc between them runs.
+const MIN_OPPOSITE_SUM: f64 = 1e-6;
+
 /// The causes at every cell of a mesh.
 #[derive(Clone, Debug)]
 pub struct Causes {
@@ -90,7 +94,9 @@ pub struct Causes {
     pub linels: Vec<CauseSet>,
     /// At each pointel.
     pub pointels: Vec<CauseSet>,
-    /// The largest difference of mu2 where the chain is the umbrella, modulo 4 pi.
+    /// By how many times 4 pi the fan at each pointel exceeds mu2.
+    pub turns: Vec<i64>,
+    /// The largest difference of mu2 where the chain is the umbrella and no normals are opposite, modulo 4 pi.
     pub largest_remainder: f64,
 }
 
@@ -122,6 +128,7 @@ impl Causes {
                 set
             })
             .collect();
+        let mut turns_at = vec![0; mesh.pointels.len()];
         let mut largest_remainder = 0.0f64;
         let pointels = (0..mesh.pointels.len())
             .map(|pointel| {
@@ -138,9 +145,13 @@ impl Causes {
                     Some(umbrella) => {
                         let mu2 = plain.mu2[umbrella as usize] as f64 * MU2_UNIT;
                         let turns = ((fan.mu2 - mu2) / (4.0 * PI)).round();
-                        set.add_if(turns != 0.0, Cause::Fan);
-                        let remainder = (fan.mu2 - mu2 - 4.0 * PI * turns).abs();
-                        largest_remainder = largest_remainder.max(remainder);
+                        turns_at[pointel] = turns as i64;
+                        let is_opposite = has_opposites(&fan.faces, u);
+                        set.add_if(turns != 0.0 || is_opposite, Cause::Fan);
+                        if !is_opposite {
+                            let remainder = (fan.mu2 - mu2 - 4.0 * PI * turns).abs();
+                            largest_remainder = largest_remainder.max(remainder);
+                        }
                     }
                 }
                 set
@@ -150,6 +161,7 @@ impl Causes {
             normals,
             linels,
             pointels,
+            turns: turns_at,
             largest_remainder,
         }
     }
@@ -199,6 +211,15 @@ impl Causes {
         };
         sets.iter().filter(|set| set.has(cause)).count()
     }
+}
+
+/// Are two normals opposite, one after the other around a pointel?
+fn has_opposites(faces: &[u32], u: &[Vector]) -> bool {
+    let nexts = faces.iter().cycle().skip(1);
+    faces.iter().zip(nexts).any(|(&f, &g)| {
+        let (f, g) = (u[f as usize], u[g as usize]);
+        norm([0, 1, 2].map(|a| f[a] + g[a])) < MIN_OPPOSITE_SUM
+    })
 }
 
 /// The umbrella around `pointel` whose surfels in their cyclic order are `chain`.

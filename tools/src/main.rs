@@ -132,8 +132,8 @@ fn print_comparisons(name: &str, comparisons: &[Comparison]) {
             );
         }
         println!(
-            "largest difference of mu2 at a pointel without a cause: {:.1e}",
-            comparison.largest_remainder
+            "normals of opposite sign {}; rows whose fans cancel {}; largest difference of mu2 at an umbrella, modulo 4 pi: {:.1e}",
+            comparison.opposite_normals, comparison.cancelled, comparison.largest_remainder
         );
     }
 }
