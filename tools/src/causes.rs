@@ -26,8 +26,8 @@ pub enum Cause {
     DroppedPointel,
     /// The surfels around a pointel are chained otherwise than in one umbrella.
     Chain,
-    /// The fan around the mean normal is a multiple of 4 pi away, or two normals in a row are opposite,
-    /// so that no arc joins them. Only where the normals lie in no hemisphere: the paper's condition (iii).
+    /// The fan around the mean normal is a multiple of 4 pi away, as it can be where the normals
+    /// do not lie on one side of their mean; or two normals in a row are opposite, so that no arc joins them.
     Fan,
 }
 

@@ -54,5 +54,21 @@ fn every_row_of_the_dragon_is_explained() {
     let table = Table::read(&reference.join("dragon128_h1.npz")).unwrap();
     let solid = vol::read(&data.join("vol-gallery/dragon-128.vol")).unwrap();
     // The file's first voxel has coordinate -1.
-    assert_explained(&compare(&solid, 1.0, 2, &table).unwrap());
+    let comparisons = compare(&solid, 1.0, 2, &table).unwrap();
+    assert_explained(&comparisons);
+    for comparison in &comparisons {
+        assert!(comparison.largest_remainder < 1e-7);
+        // The causes are no excuse: nearly every row that has one differs.
+        for column in &comparison.columns {
+            let agree = column.caused.rows - column.caused.beyond;
+            assert!(32 * agree < column.caused.rows, "{column:?}");
+        }
+    }
+    // Two normals lie in the plane of their surfel: rounding decides their sign, and only that.
+    let by_rule = &comparisons[0];
+    assert_eq!(by_rule.columns[0].caused.beyond, 2);
+    assert_eq!(by_rule.opposite_normals, 2);
+    // Rows that agree in G though they have a cause: what their fans add cancels.
+    let gaussian = by_rule.columns[2].caused;
+    assert_eq!(gaussian.rows - gaussian.beyond, by_rule.cancelled);
 }

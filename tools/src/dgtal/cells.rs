@@ -1,4 +1,8 @@
 //! DGtal's measures of cells, for a constant u per face, in voxels.
+//!
+//! A triangle whose corners lie on one great circle is not always thin by DGtal's measure. Then the signs of
+//! quantities near 0 decide between an area of 0 and one of 2 pi, so operations here keep
+//! DGtal's order: quotients are not products with a reciprocal.
 
 use std::f64::consts::TAU;
 
