@@ -106,6 +106,7 @@ impl JobArgs {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             conventions: conventions::sentences(self.method.closed),
         };
+        info.check()?;
         let binarizer = Binarizer::new(criterion, header.voxel, header.byte_order, header.scaling);
         Ok(Job {
             binarizer,
