@@ -11,6 +11,11 @@ use libm::atan2;
 
 use crate::symmetric::Symmetric;
 
+/// Normals whose scalar product is below this count as opposite: within 2e-6 of a half turn, where the
+/// arc between them is rounding noise. There the paper's condition (ii) of a corrected normal
+/// field fails, and the arc is taken through the trivial normals.
+const OPPOSITE: f64 = -1.0 + 2e-12;
+
 /// Two normals whose cross product is shorter than this count as parallel; the rotation axis
 /// between them would be rounding noise, and their measure is below it.
 const PARALLEL: f64 = 1e-12;
@@ -28,15 +33,15 @@ const PARALLEL: f64 = 1e-12;
 /// ```
 ///
 /// Zero where the normals are parallel; also where they are opposite, where the paper's
-/// condition (ii) of a corrected normal field fails.
+/// condition (ii) fails and there is no axis to turn about.
 #[must_use]
 pub fn linel_tensor(u_f: DVec3, u_g: DVec3, e: DVec3, length: f64) -> Symmetric {
     let cross = u_f.cross(u_g);
     let sin = cross.length();
-    if sin < PARALLEL {
+    let cos = u_f.dot(u_g);
+    if sin < PARALLEL || cos < OPPOSITE {
         return Symmetric::default();
     }
-    let cos = u_f.dot(u_g);
     let psi = atan2(sin, cos);
     let e1 = cross / sin;
     // v(t) = cos t u_f + sin t w,  e1 x v = cos t w - sin t u_f
@@ -65,9 +70,14 @@ pub fn spherical_triangle(a: DVec3, b: DVec3, c: DVec3) -> f64 {
 ///
 /// Cut along the shorter diagonal; on a tie along n_f - u_g, so callers pass the surfel with the
 /// lower number as f and take the negative for (g, f), which makes the area exactly antisymmetric.
+/// Zero where u_f and u_g, or the ends of the diagonal, are opposite: the arc from u_f to u_g then
+/// runs through n_f and n_g.
 #[must_use]
 pub fn swept_area(n_f: DVec3, n_g: DVec3, u_f: DVec3, u_g: DVec3) -> f64 {
-    if n_f.dot(u_g) >= n_g.dot(u_f) {
+    let (from_f, from_g) = (n_f.dot(u_g), n_g.dot(u_f));
+    if u_f.dot(u_g) < OPPOSITE || from_f.max(from_g) < OPPOSITE {
+        0.0
+    } else if from_f >= from_g {
         spherical_triangle(n_f, n_g, u_g) + spherical_triangle(n_f, u_g, u_f)
     } else {
         spherical_triangle(n_f, n_g, u_f) + spherical_triangle(n_g, u_g, u_f)

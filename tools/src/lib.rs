@@ -4,6 +4,8 @@
 //! * [`plain`] computes every measure by its definition, in scalar code, with the whole
 //!   volume in memory. It does not use the `curvox` crate.
 //! * [`goursat`], [`vol`] and [`npz`] bring in shapes and tables to compare with.
+//! * [`dgtal`] repeats DGtal's cell measures and walk, and [`causes`] names the cells where they
+//!   differ from the plain ones.
 //! * [`agreement`] compares the plain reference with DGtal, [`accuracy`] with the truth.
 
 pub mod plain;
@@ -11,6 +13,10 @@ pub mod plain;
 pub mod goursat;
 pub mod npz;
 pub mod vol;
+
+pub mod dgtal;
+
+pub mod causes;
 
 pub mod accuracy;
 pub mod agreement;

@@ -51,7 +51,7 @@ fn main() -> Result<()> {
                 let name = format!("goursat_h{gridstep}.npz");
                 let table = Table::read(&reference.join(&name))?;
                 let (solid, origin) = goursat::digitised(gridstep);
-                print_comparison(
+                print_comparisons(
                     &name,
                     &agreement::compare(&solid, gridstep, 2 * origin, &table)?,
                 );
@@ -60,7 +60,7 @@ fn main() -> Result<()> {
                 let name = "dragon128_h1.npz";
                 let table = Table::read(&reference.join(name))?;
                 // The file's first voxel has coordinate -1.
-                print_comparison(
+                print_comparisons(
                     name,
                     &agreement::compare(&vol::read(&path)?, 1.0, 2, &table)?,
                 );
@@ -100,24 +100,40 @@ fn print_trials(name: &str, shape: &KnownShape) {
     }
 }
 
-fn print_comparison(name: &str, comparison: &Comparison) {
-    println!(
-        "{name}: surfels folded {}, dropped {}, reversed {}, lifted {}",
-        comparison.folded, comparison.dropped, comparison.reversed, comparison.lifted
-    );
-    println!("| column | bound | all rows: largest | beyond | clean rows: largest | beyond |");
-    println!("|---|---|---|---|---|---|");
-    for column in &comparison.columns {
+fn print_comparisons(name: &str, comparisons: &[Comparison]) {
+    for comparison in comparisons {
+        println!("\n{name}, {}", comparison.name);
         println!(
-            "| {} | {:.0e} | {:.1e} | {} of {} | {:.1e} | {} of {} |",
-            column.name,
-            column.bound,
-            column.all.largest,
-            column.all.beyond,
-            column.all.rows,
-            column.clean.largest,
-            column.clean.beyond,
-            column.clean.rows
+            "| column | bound | as DGtal: largest | beyond | with a cause: differ | agree | without: differ | agree | largest |"
+        );
+        println!("|---|---|---|---|---|---|---|---|---|");
+        for column in &comparison.columns {
+            let (emulated, caused, clean) = (&column.emulated, &column.caused, &column.clean);
+            println!(
+                "| {} | {:.0e} | {:.1e} | {} of {} | {} | {} | {} | {} | {:.1e} |",
+                column.name,
+                column.bound,
+                emulated.largest,
+                emulated.beyond,
+                emulated.rows,
+                caused.beyond,
+                caused.rows - caused.beyond,
+                clean.beyond,
+                clean.rows - clean.beyond,
+                clean.largest
+            );
+        }
+        println!("| cause | cells | rows with it | of them differ | and have no other |");
+        println!("|---|---|---|---|---|");
+        for t in &comparison.tallies {
+            println!(
+                "| {:?} | {} | {} | {} | {} |",
+                t.cause, t.cells, t.rows, t.differ, t.differ_alone
+            );
+        }
+        println!(
+            "normals of opposite sign {}; rows whose fans cancel {}; largest difference of mu2 at an umbrella, modulo 4 pi: {:.1e}",
+            comparison.opposite_normals, comparison.cancelled, comparison.largest_remainder
         );
     }
 }

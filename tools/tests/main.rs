@@ -11,3 +11,6 @@ mod geometry;
 
 /// DGtal's numbers, if they are at hand.
 mod agreement;
+
+/// What DGtal's cells and walk do on small solids.
+mod dgtal;

@@ -16,7 +16,7 @@ use super::algebra::{ENTRIES, Symmetric, Vector, cross, determinant, dot, norm, 
 pub fn linel_tensor(e: Vector, u_f: Vector, u_g: Vector) -> Symmetric {
     let c = cross(u_f, u_g);
     let sine = norm(c);
-    if sine < 1e-12 {
+    if sine < 1e-12 || are_opposite(u_f, u_g) {
         return [0.0; 6];
     }
     let psi = sine.atan2(dot(u_f, u_g));
@@ -36,6 +36,11 @@ pub fn linel_tensor(e: Vector, u_f: Vector, u_g: Vector) -> Symmetric {
     })
 }
 
+/// Do two unit vectors differ by a half turn, so that there is no one arc between them?
+fn are_opposite(a: Vector, b: Vector) -> bool {
+    dot(a, b) < -1.0 + 2e-12
+}
+
 /// Signed area of the spherical triangle a, b, c: positive if counter-clockwise seen from outside.
 pub fn triangle_area(a: Vector, b: Vector, c: Vector) -> f64 {
     let cosines = 1.0 + dot(a, b) + dot(b, c) + dot(c, a);
@@ -45,7 +50,11 @@ pub fn triangle_area(a: Vector, b: Vector, c: Vector) -> f64 {
 /// Area of the spherical quadrilateral n_f, n_g, u_g, u_f, for f before g in the order of surfels.
 /// The shorter diagonal splits it; on a tie the one from n_f.
 pub fn swept_area(n_f: Vector, n_g: Vector, u_g: Vector, u_f: Vector) -> f64 {
-    if dot(n_f, u_g) >= dot(n_g, u_f) {
+    let (from_f, from_g) = (dot(n_f, u_g), dot(n_g, u_f));
+    if are_opposite(u_f, u_g) || (are_opposite(n_f, u_g) && are_opposite(n_g, u_f)) {
+        // No arc: it is taken through n_f and n_g.
+        0.0
+    } else if from_f >= from_g {
         triangle_area(n_f, n_g, u_g) + triangle_area(n_f, u_g, u_f)
     } else {
         triangle_area(n_f, n_g, u_f) + triangle_area(n_g, u_g, u_f)
