@@ -53,7 +53,7 @@ pub(crate) fn show(style: Style, progress: &Progress, planes: u64, done: &Atomic
         Style::Bar => ProgressBar::new(planes),
     };
     let style_of_bar = ProgressStyle::with_template(
-        "{bar:30} {percent:>3}% plane {pos}/{len}  {msg}  {elapsed_precise} (about {eta} left)",
+        "{wide_bar} {percent:>3}%  plane {pos}/{len}  {msg}  {elapsed}, {eta} left",
     );
     if let Ok(style) = style_of_bar {
         bar.set_style(style);
