@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use curvox::khalimsky::Adjacency;
 use curvox::lattice::Lattice;
-use curvox::measure::ball::{BallKernel, BallScratch, Extent, LocalMeasures, Weights};
+use curvox::measure::ball::{BallKernel, Extent, LocalMeasures, Weights};
 use curvox::measure::cells::{Keep, evaluate};
 use curvox::measure::surface::Surface;
 use curvox::normal::{Estimator, NormalKernel, Orientation};
@@ -196,15 +196,9 @@ fn sums(bencher: Bencher<'_, '_>, radius: f64, extent: Extent) {
     let starts: Vec<usize> = (0..surface.len())
         .filter(|&i| core.contains(surface.surfels.oriented(i).cell()))
         .collect();
-    let mut scratch = BallScratch::default();
     bencher
         .counter(ItemsCount::new(starts.len()))
-        .bench_local(|| {
-            starts
-                .iter()
-                .map(|&i| ball.sum(&surface, &measures, i, &mut scratch).mu2)
-                .sum::<f64>()
-        });
+        .bench_local(|| ball.sums(&surface, &measures, &starts));
 }
 
 #[divan::bench]

@@ -5,7 +5,7 @@
 //! once, in [`crate::curvature`].
 //!
 //! Guaranteed: whether a point is in a ball is decided in integers (squared edges are fixed-point
-//! numbers of [`BOX_ONE`] where voxels are not cubes), so it cannot depend on the order of
+//! numbers of 20 bits where voxels are not cubes), so it cannot depend on the order of
 //! operations, the cut of the volume or the machine.
 
 use std::fmt;
@@ -13,8 +13,8 @@ use std::fmt;
 /// Fixed-point one of squared edges, for voxels that are not cubes.
 const BOX_ONE: u64 = 1 << 20;
 
-/// Radii of balls are bounded so that sums of fixed-point measures over a ball cannot overflow,
-/// whatever the volume: see [`crate::measure::fixed`].
+/// Radii of balls are bounded so that rows of a ball, in voxels of any shape, stay short. Balls of
+/// measures are bounded further, by what a sum can hold: see [`crate::measure::fixed`].
 pub const MAX_RADIUS: f64 = 56.0;
 
 /// The largest extent of a volume along an axis: Khalimsky coordinates are `i32`.
@@ -57,6 +57,13 @@ pub enum LatticeError {
     Aspect([f64; 3]),
     /// A radius is not positive, not finite or above [`MAX_RADIUS`], in voxel units.
     Radius(f64),
+    /// A ball of measures holds more voxels than a sum can.
+    Ball {
+        /// Radius asked, in voxel units.
+        radius: f64,
+        /// Largest radius for voxels of this shape.
+        largest: f64,
+    },
 }
 
 impl fmt::Display for LatticeError {
@@ -76,6 +83,11 @@ impl fmt::Display for LatticeError {
                 f,
                 "voxel edges {} x {} x {} differ by more than a factor of 256; resample the image",
                 s[0], s[1], s[2]
+            ),
+            LatticeError::Ball { radius, largest } => write!(
+                f,
+                "a ball of measures of radius {radius} voxels holds too many voxels of this \
+                 shape, expected at most {largest:.2}; resample the image to larger voxels"
             ),
             LatticeError::Radius(radius) => write!(
                 f,
@@ -228,6 +240,16 @@ impl Metric {
         if !(radius > 0.0 && radius <= MAX_RADIUS) {
             return Err(LatticeError::Radius(radius));
         }
+        Ok(self.unchecked_ball(radius, factor))
+    }
+
+    /// A ball of cells wider than another by `more` voxel units.
+    #[must_use]
+    pub fn wider_ball(&self, ball: &Ball, more: f64) -> Ball {
+        self.unchecked_ball(ball.radius + more, if ball.doubled { 4.0 } else { 1.0 })
+    }
+
+    fn unchecked_ball(&self, radius: f64, factor: f64) -> Ball {
         let mut squared = factor * radius * radius;
         let limit = if self.one == 1 {
             // Radii such as 3 / sqrt(h) are meant to have whole squares; without the snap the
@@ -241,13 +263,13 @@ impl Metric {
             squared *= self.one as f64;
             (squared * (1.0 + 1e-12)).floor()
         };
-        Ok(Ball {
+        Ball {
             radius,
             metric: *self,
             squared,
             limit: limit as i64,
             doubled: factor > 1.0,
-        })
+        }
     }
 }
 

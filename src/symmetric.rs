@@ -24,12 +24,12 @@ pub fn eigen(m: &Symmetric) -> Eigen {
     for _ in 0..MAX_SWEEPS {
         let size = a[0][0].abs() + a[1][1].abs() + a[2][2].abs();
         let off = a[0][1].abs() + a[0][2].abs() + a[1][2].abs();
-        // smaller rotations would not change the diagonal's last bit
-        if off <= 1e-18 * size || off == 0.0 {
+        // Convergence is quadratic: what is left would not change the last bits of the values.
+        if off <= 1e-16 * size {
             break;
         }
         for (p, q) in [(0, 1), (0, 2), (1, 2)] {
-            if a[p][q] == 0.0 {
+            if a[p][q].abs() <= 1e-17 * size {
                 continue;
             }
             let theta = (a[q][q] - a[p][p]) / (2.0 * a[p][q]);

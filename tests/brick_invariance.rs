@@ -4,7 +4,10 @@ use curvox::normal::{Estimator, Orientation};
 use curvox::pipeline::Settings;
 use proptest::prelude::*;
 
-use crate::common::{bits, blob, lattice, noise, piped};
+use curvox::Error;
+use curvox_tools::plain::Solid;
+
+use crate::common::{Random, bits, blob, lattice, noise, piped, tried};
 
 #[test]
 fn the_cut_does_not_show() {
@@ -19,7 +22,7 @@ fn the_cut_does_not_show() {
             (Some(16), 1024, 1),
             (Some(32), 200, 2),
             (Some(64), 1024, 7),
-            (Some(100), 400, 3),
+            (Some(100), 1024, 3),
             (None, 96, 2),
         ] {
             settings.brick = brick;
@@ -70,5 +73,62 @@ proptest! {
         prop_assert!(bits(&rows) == bits(&expected));
         prop_assert_eq!(again.cells, outcome.cells);
         prop_assert_eq!(again.solid, outcome.solid);
+    }
+}
+
+/// A volume whose density of surfels changes along z.
+fn layered(seed: u64) -> Solid {
+    let mut random = Random(seed);
+    let dims = [96, 64, 100];
+    let mut solid = Solid {
+        dims,
+        inside: Vec::new(),
+    };
+    let mut left = 0;
+    let mut p = 0.0;
+    for _ in 0..dims[2] {
+        if left == 0 {
+            left = 1 + (random.next() * 40.0) as usize;
+            p = [0.0, 0.003, 0.05, 0.5][(random.next() * 4.0) as usize];
+        }
+        left -= 1;
+        solid
+            .inside
+            .extend((0..dims[0] * dims[1]).map(|_| random.next() < p));
+    }
+    solid
+}
+
+#[test]
+fn tight_memory_neither_stalls_nor_shows() {
+    for seed in 0..6 {
+        let solid = layered(seed);
+        let mut settings = Settings::new(lattice(&solid, [1.0; 3], false));
+        settings.estimator = Estimator::Trivial;
+        settings.radii = vec![1.0];
+        settings.threads = 2;
+        settings.weights = if seed % 2 == 0 {
+            Weights::Dgtal
+        } else {
+            Weights::Lumped
+        };
+        let (expected, _) = piped(&solid, &settings);
+        let expected = bits(&expected);
+        for memory_mib in [70, 76, 84, 100, 128] {
+            settings.memory_bytes = memory_mib << 20;
+            let (done, waiting) = std::sync::mpsc::channel();
+            let (solid, asked) = (solid.clone(), settings.clone());
+            std::thread::spawn(move || {
+                // Refusing for want of memory is fine; waiting for ever is not.
+                let rows = tried(&solid, &asked).map(|(rows, _)| bits(&rows));
+                done.send(rows)
+            });
+            let minute = std::time::Duration::from_secs(60);
+            match waiting.recv_timeout(minute).expect("the pipeline stalls") {
+                Ok(rows) => assert!(rows == expected),
+                Err(Error::TooDense { .. } | Error::Plan(_)) => {}
+                Err(other) => panic!("{other}"),
+            }
+        }
     }
 }

@@ -12,8 +12,14 @@ mod topology;
 /// How a volume is cut does not show.
 mod brick_invariance;
 
+/// What is beyond the border of the image is unknown, and says so.
+mod border;
+
 /// Mirrored, rotated and transposed volumes give the same values.
 mod symmetry;
 
 /// Shapes of known curvature.
 mod analytic;
+
+/// The binary, run as a user would.
+mod cli;

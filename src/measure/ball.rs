@@ -17,18 +17,20 @@
 //! | `Dgtal` | share of its extent in the ball | the same, by its ends and middle | 1 if in the ball |
 //!
 //! Guaranteed: sums are of integers, so exact; which cells take part is decided in integers
-//! (except the shares of `Dgtal`, which are rounded to 2^-48 each). `Sharp` counts fewer linels
+//! (except with `Dgtal`, whose shares, rounded to 2^-48 each, and pointels go by distances in
+//! floating point). `Sharp` counts fewer linels
 //! than the rim of the set has a share in, so it is low by about 0.6 / rho; it is what makes
 //! V - E + F of the set an Euler characteristic. `Lumped` has no such bias.
 
 use std::ops::Range;
 
+use crate::dispatch::{Work, dispatch};
 use crate::khalimsky::axis;
 use crate::lattice::{Ball, Lattice, LatticeError};
 use crate::surfel::{Kind, Rim, Surfel, Walker, displacement};
 use crate::symmetric::Symmetric;
 
-use super::cells::{Around, CellMeasures, Lumped, Tensor, umbrella};
+use super::cells::{Around, CellMeasures, Lumped, Tensor, mark, umbrella};
 use super::fixed;
 use super::surface::Surface;
 
@@ -66,8 +68,8 @@ pub struct BallSums {
     pub rim: Rim,
     /// The ball holds surfels that are not connected to this one within it.
     pub several_sheets: bool,
-    /// Bits of [`super::cells::mark`] of the surfels summed, joined.
-    pub marks: u8,
+    /// The border of an open image cuts what was summed, or what its normals came from.
+    pub cut: bool,
 }
 
 /// Measures of all surfels of a [`Surface`], in the form the sums read.
@@ -100,22 +102,26 @@ impl LocalMeasures {
     #[must_use]
     pub fn new(surface: &Surface, gathered: CellMeasures) -> Self {
         assert_eq!(gathered.marks.len(), surface.len(), "one mark a surfel");
-        let cells = if gathered.owned_from.is_empty() {
+        if gathered.owned_from.is_empty() {
             assert_eq!(gathered.lumped.len(), surface.len(), "one lump a surfel");
-            None
-        } else {
-            Some(Box::new(LocalCells::new(surface, &gathered)))
-        };
+            return Self {
+                marks: gathered.marks,
+                lumped: gathered.lumped,
+                cells: None,
+            };
+        }
+        let marks = gathered.marks.clone();
+        let cells = Some(Box::new(LocalCells::new(surface, gathered)));
         Self {
-            marks: gathered.marks,
-            lumped: gathered.lumped,
+            marks,
+            lumped: Vec::new(),
             cells,
         }
     }
 }
 
 impl LocalCells {
-    fn new(surface: &Surface, gathered: &CellMeasures) -> Self {
+    fn new(surface: &Surface, gathered: CellMeasures) -> Self {
         let count = surface.len();
         let mut linel_of = vec![[NONE; 4]; count];
         let mut umbrella_of = vec![[NONE; 4]; count];
@@ -153,9 +159,9 @@ impl LocalCells {
             }
         }
         Self {
-            mu0: gathered.mu0.clone(),
-            linels: gathered.linels.clone(),
-            umbrellas: gathered.umbrellas.clone(),
+            mu0: gathered.mu0,
+            linels: gathered.linels,
+            umbrellas: gathered.umbrellas,
             degree,
             linel_of,
             umbrella_of,
@@ -182,13 +188,41 @@ pub struct BallKernel {
     extent: Extent,
     weights: Weights,
     edges: [f64; 3],
+    /// Extents of an open image, in voxels; none if it is closed.
+    open: Option<[i32; 3]>,
     /// Rows of `wide` around a surfel along x, y, z.
     rows: [Vec<BallRow>; 3],
 }
 
+/// The sums around each of some surfels.
+struct SumsOf<'a> {
+    kernel: &'a BallKernel,
+    surface: &'a Surface,
+    measures: &'a LocalMeasures,
+    starts: &'a [usize],
+}
+
+impl Work for SumsOf<'_> {
+    type Output = Vec<BallSums>;
+
+    #[inline(always)]
+    fn run(self) -> Vec<BallSums> {
+        let mut scratch = BallScratch::default();
+        // A loop and not an iterator: what an adapter calls is compiled for the baseline.
+        let mut sums = Vec::with_capacity(self.starts.len());
+        for &start in self.starts {
+            sums.push(
+                self.kernel
+                    .sum(self.surface, self.measures, start, &mut scratch),
+            );
+        }
+        sums
+    }
+}
+
 /// Scratch memory of sums over one surface.
 #[derive(Clone, Debug, Default)]
-pub struct BallScratch {
+struct BallScratch {
     walker: Walker,
     linel_seen: Vec<u32>,
     umbrella_seen: Vec<(u32, u32)>,
@@ -214,17 +248,26 @@ impl BallKernel {
     ) -> Result<Self, LatticeError> {
         let metric = lattice.metric();
         let ball = metric.khalimsky_ball(radius)?;
+        let [x, y, z] = lattice.edges();
+        let voxels = 4.0 / 3.0 * std::f64::consts::PI * radius * radius * radius / (x * y * z);
+        if voxels > fixed::MOST_VOXELS {
+            let largest = radius * (fixed::MOST_VOXELS / voxels).cbrt();
+            return Err(LatticeError::Ball { radius, largest });
+        }
         let wide = match weights {
-            Weights::Dgtal => metric.khalimsky_ball(radius + HALF_DIAGONAL)?,
+            Weights::Dgtal => metric.wider_ball(&ball, HALF_DIAGONAL),
             Weights::Sharp | Weights::Lumped => ball,
         };
         let rows = [0, 1, 2].map(|axis| ball_rows(&wide, axis));
+        let open = (!lattice.closed).then(|| lattice.dims.map(|n| n as i32));
+        let edges = lattice.edges();
         Ok(Self {
             ball,
             wide,
             extent,
             weights,
-            edges: lattice.edges(),
+            edges,
+            open,
             rows,
         })
     }
@@ -253,10 +296,24 @@ impl BallKernel {
         self.wide.reach().map(|r| r + rim)
     }
 
-    /// Sums around surfel `start` of the surface, which must cover its reach.
-    #[inline]
+    /// Sums around some surfels of the surface, which must cover their reach.
     #[must_use]
-    pub fn sum(
+    pub fn sums(
+        &self,
+        surface: &Surface,
+        measures: &LocalMeasures,
+        starts: &[usize],
+    ) -> Vec<BallSums> {
+        dispatch(SumsOf {
+            kernel: self,
+            surface,
+            measures,
+            starts,
+        })
+    }
+
+    #[inline(always)]
+    fn sum(
         &self,
         surface: &Surface,
         measures: &LocalMeasures,
@@ -267,27 +324,38 @@ impl BallKernel {
             .walker
             .walk(&surface.surfels, &surface.links, &self.ball, start);
         let connected = scratch.walker.part().len();
-        let marks = scratch
-            .walker
-            .part()
-            .iter()
-            .fold(0, |m, &q| m | measures.marks[q as usize]);
         let mut in_ball = 0;
-        if self.weights != Weights::Dgtal {
+        if self.weights == Weights::Dgtal {
+            let centre = surface.surfels.list[start].k;
+            self.for_each_run(surface, start, |run| {
+                for i in run {
+                    let d = displacement(surface.surfels.list[i].k, centre);
+                    in_ball += usize::from(self.ball.contains(d));
+                }
+            });
+        } else {
             self.for_each_row(surface, start, |kind, x, y, z| {
                 in_ball += surface.index.count(kind, x, y, z) as usize;
             });
+        }
+        let mut marks = 0;
+        if self.extent == Extent::Connected && self.weights != Weights::Dgtal {
+            for &q in scratch.walker.part() {
+                marks |= measures.marks[q as usize];
+            }
         } else {
-            let centre = surface.surfels.list[start].k;
+            // more than C(p) is summed; with DGtal's weights, hardly more than W(p)
             self.for_each_run(surface, start, |run| {
-                in_ball += run
-                    .filter(|&i| {
-                        self.ball
-                            .contains(displacement(surface.surfels.list[i].k, centre))
-                    })
-                    .count();
+                for &mark in &measures.marks[run] {
+                    marks |= mark;
+                }
             });
         }
+        // A sharp sum has only linels and pointels whose surfels all belong.
+        let cut = match self.weights {
+            Weights::Sharp => mark::CUT,
+            Weights::Lumped | Weights::Dgtal => mark::NEAR_CUT,
+        };
         let (mu0, tensor, mu2) = match (self.weights, &measures.cells) {
             (Weights::Lumped, _) => self.sum_lumped(surface, measures, start, scratch),
             (Weights::Sharp, Some(cells)) => self.sum_sharp(surface, cells, start, scratch),
@@ -300,12 +368,24 @@ impl BallKernel {
             mu2,
             rim,
             several_sheets: in_ball > connected,
-            marks,
+            cut: marks & cut != 0
+                || self.extent == Extent::Whole && self.leaves_image(surface, start),
         }
     }
 
+    /// Whether the ball around a surfel leaves an open image, so that sheets beyond are missed.
+    fn leaves_image(&self, surface: &Surface, start: usize) -> bool {
+        let k = surface.surfels.khalimsky(start);
+        self.open.is_some_and(|dims| {
+            (0..3).any(|a| {
+                let w = self.wide.half_width(a, 0).unwrap_or(0);
+                k[a] - w < 0 || k[a] + w > 2 * dims[a]
+            })
+        })
+    }
+
     /// Runs of surfel numbers that make up the wide ball.
-    #[inline]
+    #[inline(always)]
     fn for_each_run(&self, surface: &Surface, start: usize, mut f: impl FnMut(Range<usize>)) {
         self.for_each_row(surface, start, |kind, x, y, z| {
             f(surface.index.range(kind, x, y, z))
@@ -313,7 +393,7 @@ impl BallKernel {
     }
 
     /// Rows of cells that make up the wide ball.
-    #[inline]
+    #[inline(always)]
     fn for_each_row(
         &self,
         surface: &Surface,
@@ -335,6 +415,7 @@ impl BallKernel {
         }
     }
 
+    #[inline(always)]
     fn sum_lumped(
         &self,
         surface: &Surface,

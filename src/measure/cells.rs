@@ -5,8 +5,8 @@
 //! cell, with each linel and umbrella kept by its *owner*, the surfel of the lowest number among
 //! those that share it; and [`CellTotals`], exact integers, each cell counted by its owner.
 //!
-//! A linel between two bricks is evaluated by both, from the same numbers in the same order, so
-//! with the same bits; everything else is evaluated once.
+//! A linel or umbrella shared by bricks is evaluated by each of them, from the same numbers in the
+//! same order, so with the same bits; everything else is evaluated once.
 //!
 //! **mu2 by the lift.** The area of the spherical polygon u_1 .. u_d around a pointel differs from
 //! that of the trivial normals, (4 - d) pi/2, by the areas swept between consecutive surfels
@@ -51,6 +51,9 @@ pub mod mark {
     pub const DEGENERATE: u8 = 4;
     /// <u, n> <= 0.
     pub const OPPOSED: u8 = 8;
+    /// A surfel around one of its pointels, or itself, is [`CUT`]: its linels and pointels then
+    /// have measures that what is beyond the border could change.
+    pub const NEAR_CUT: u8 = 16;
 }
 
 /// Measures of the cells of a brick's core, in Khalimsky order of their surfels.
@@ -147,7 +150,7 @@ impl CellTotals {
 /// Evaluates the cells of `core` on a surface that covers one cell more on each side.
 ///
 /// `u` and `marks` are those of all surfels of the surface; the marks of the core are completed
-/// with [`mark::LIFTED`] and [`mark::OPPOSED`].
+/// with [`mark::LIFTED`], [`mark::OPPOSED`] and [`mark::NEAR_CUT`].
 #[must_use]
 pub fn evaluate(
     surface: &Surface,
@@ -196,8 +199,13 @@ pub fn evaluate(
         let mu0 = fixed::from_measure(cosine * areas[along]);
         totals.surfels[along] += 1;
         totals.mu0 += i128::from(mu0);
-        out.marks
-            .push(marks[i] | if cosine <= 0.0 { mark::OPPOSED } else { 0 });
+        let opposed = if cosine <= 0.0 { mark::OPPOSED } else { 0 };
+        let near = if marks[i] & mark::CUT != 0 {
+            mark::NEAR_CUT
+        } else {
+            0
+        };
+        out.marks.push(marks[i] | opposed | near);
         match keep {
             Keep::Lumped => lumped[core_number[i] as usize][0] = mu0,
             Keep::Cells => out.mu0.push(mu0),
@@ -206,7 +214,11 @@ pub fn evaluate(
 
     // Linels: swept areas of all, tensors of those that touch the core.
     let mut swept = vec![[0i64; 4]; count];
-    let mut linels = vec![];
+    let mut linels = Vec::with_capacity(if keep == Keep::Cells {
+        core_count * 9 / 4
+    } else {
+        0
+    });
     let mut owned = vec![[0u32; 2]; if keep == Keep::Cells { core_count } else { 0 }];
     for i in 0..count {
         let orientation = surface.surfels.list[i].orientation;
@@ -260,13 +272,18 @@ pub fn evaluate(
     }
 
     // Pointels: one umbrella or chain at a time, by its lowest surfel.
-    let mut umbrellas = vec![];
+    let mut umbrellas = Vec::with_capacity(if keep == Keep::Cells {
+        core_count * 9 / 8
+    } else {
+        0
+    });
     let mut members: Vec<usize> = Vec::with_capacity(8);
     for i in 0..count {
         for j in 0..4 {
             match umbrella(surface, i, j, &mut members) {
                 Around::Cycle => {}
                 Around::Chain => {
+                    // its surfels touch the border, so they are cut themselves
                     if core_number[i] != RIM {
                         totals.pointels += 1;
                     }
@@ -276,6 +293,13 @@ pub fn evaluate(
             }
             if members.iter().all(|&m| core_number[m] == RIM) {
                 continue;
+            }
+            if members.iter().any(|&m| marks[m] & mark::CUT != 0) {
+                for &m in &members {
+                    if core_number[m] != RIM {
+                        out.marks[core_number[m] as usize] |= mark::NEAR_CUT;
+                    }
+                }
             }
             let mut lift = (4 - members.len() as i64) * fixed::QUARTER_TURN;
             let (mut at, mut corner) = (i, j);
@@ -321,6 +345,8 @@ pub fn evaluate(
         out.owned_from.push(from);
     }
     out.lumped = lumped;
+    linels.shrink_to_fit();
+    umbrellas.shrink_to_fit();
     out.linels = linels;
     out.umbrellas = umbrellas;
     (out, totals)

@@ -6,10 +6,14 @@
 //! | mu2 of a pointel | (pi/2) 2^-44, so that 4 pi is 2^47 exactly |
 //! | mu2 lumped on surfels | (pi/2) 2^-40 |
 //!
-//! Range: an edge tensor is at most pi, a mu2 at most 2 pi in absolute value. A ball of the
-//! largest radius holds under 2^20 voxels, so under 2^22 linels, pointels and surfels, and sums of
-//! tensors stay below 2^22 * 2^42 / 2^2 (linels are lumped by halves and at most 3 a voxel) and of
-//! lumped mu2 below 2^63; sums of unlumped measures are kept in 128 bits.
+//! Range. A voxel has at most 3 surfels to its name, and a surfel carries at most 4 halves of a
+//! tensor whose terms are at most pi, which is 2 pi 2^40 < 2^42.7; and at most 4 thirds of a mu2
+//! of at most 2 pi, which is 4/3 2^42 < 2^42.5. So the lumps of a voxel are below 2^44.3, and
+//! balls of up to [`MOST_VOXELS`] voxels sum to less than 2^62.3, whatever the volume and `u`.
+//! Sums of unlumped measures are kept in 128 bits.
+
+/// Most voxels in a ball whose measures are summed: 39.7 voxels of radius for cubes.
+pub const MOST_VOXELS: f64 = (1u64 << 18) as f64;
 
 /// One, in the unit of mu0 and the tensor.
 pub const ONE: f64 = (1u64 << 40) as f64;

@@ -23,7 +23,8 @@
 
 use glam::DVec3;
 
-use crate::khalimsky::{OrientedSurfel, moved};
+use crate::dispatch::{Work, dispatch};
+use crate::khalimsky::OrientedSurfel;
 use crate::lattice::{Ball, Lattice};
 use crate::surfel::{CellBox, Surfels};
 use crate::symmetric::{Eigen, Symmetric, eigen};
@@ -40,12 +41,12 @@ pub const SAME_EIGENVALUE: f64 = 1e-7;
 /// to which the first moment is equally near.
 pub const SAME_COSINE: f64 = 1e-9;
 
-/// A row of the ball of voxels: displacement across and half-width along x.
-#[derive(Clone, Copy, Debug)]
-struct BallRow {
-    dy: i32,
+/// Rows of the ball of voxels in one plane.
+#[derive(Clone, Debug)]
+struct BallPlane {
     dz: i32,
-    half_width: i32,
+    /// For each row its displacement along y and its half-width along x.
+    rows: Vec<(i32, i32)>,
 }
 
 /// Integral invariants at one radius.
@@ -54,10 +55,31 @@ pub struct IntegralKernel {
     ball: Ball,
     edges: [f64; 3],
     orientation: Orientation,
-    rows: Vec<BallRow>,
+    planes: Vec<BallPlane>,
     /// `power[x + widest]` = (sum of x', sum of x'^2) over x' < x, from -widest.
     power: Vec<[i64; 2]>,
     widest: i32,
+}
+
+/// The moments about each of some voxels.
+struct MomentsOf<'a> {
+    kernel: &'a IntegralKernel,
+    bits: &'a BitBox,
+    voxels: &'a [[i32; 3]],
+}
+
+impl Work for MomentsOf<'_> {
+    type Output = Vec<Moments>;
+
+    #[inline(always)]
+    fn run(self) -> Vec<Moments> {
+        // A loop and not an iterator: what an adapter calls is compiled for the baseline.
+        let mut moments = Vec::with_capacity(self.voxels.len());
+        for &c in self.voxels {
+            moments.push(self.kernel.moments(self.bits, c));
+        }
+        moments
+    }
 }
 
 /// Moments of the solid in a ball about its centre, in voxels.
@@ -73,18 +95,20 @@ impl IntegralKernel {
     /// Prepares for a ball of voxels of the given edges (in voxel units).
     #[must_use]
     pub fn new(ball: Ball, edges: [f64; 3], orientation: Orientation) -> Self {
-        let mut rows = Vec::new();
+        let mut planes = Vec::new();
         let [widest, _, rz] = ball.reach();
         for dz in -rz..=rz {
             let used_z = ball.metric.squared([0, 0, dz]);
             let Some(ry) = ball.half_width(1, used_z) else {
                 continue;
             };
-            for dy in -ry..=ry {
-                if let Some(half_width) = ball.half_width(0, ball.metric.squared([0, dy, dz])) {
-                    rows.push(BallRow { dy, dz, half_width });
-                }
-            }
+            let rows = (-ry..=ry)
+                .filter_map(|dy| {
+                    let used = ball.metric.squared([0, dy, dz]);
+                    ball.half_width(0, used).map(|half_width| (dy, half_width))
+                })
+                .collect();
+            planes.push(BallPlane { dz, rows });
         }
         let mut power = vec![[0, 0]];
         let mut sums = [0, 0];
@@ -97,7 +121,7 @@ impl IntegralKernel {
             ball,
             edges,
             orientation,
-            rows,
+            planes,
             power,
             widest,
         }
@@ -108,51 +132,60 @@ impl IntegralKernel {
     }
 
     /// Moments about voxel `c`; `bits` must cover the ball.
+    #[inline(always)]
     fn moments(&self, bits: &BitBox, c: [i32; 3]) -> Moments {
         let mut m = Moments::default();
-        let lo_x = bits.lo()[0];
-        for row in &self.rows {
-            let words = bits.row(c[1] + row.dy, c[2] + row.dz);
-            let w = row.half_width;
-            let first = (c[0] - w - lo_x) as usize;
-            let (mut count, mut sum, mut squares) = (0i64, 0i64, 0i64);
-            let mut done = 0;
-            while done < 2 * w + 1 {
-                let length = (2 * w + 1 - done).min(64);
-                let mut rest = BitBox::bits(words, first + done as usize);
-                if length < 64 {
-                    rest &= (1 << length) - 1;
+        let x = c[0] - bits.lo()[0];
+        for plane in &self.planes {
+            // Sums over the plane: of 1, x, x^2, y, y^2, xy.
+            let (mut n, mut sx, mut sxx, mut sy, mut syy, mut sxy) =
+                (0i64, 0i64, 0i64, 0i64, 0i64, 0i64);
+            for &(dy, w) in &plane.rows {
+                let words = bits.row(c[1] + dy, c[2] + plane.dz);
+                let (mut count, mut sum, mut squares) = (0i64, 0i64, 0i64);
+                let mut done = 0;
+                while done < 2 * w + 1 {
+                    let length = (2 * w + 1 - done).min(64);
+                    let window = BitBox::bits(words, (x - w + done) as usize);
+                    let mut rest = window & (!0 >> (64 - length));
+                    // index into `power` of the window's bit 0
+                    let mut at = (done - w + self.widest) as usize;
+                    while rest != 0 {
+                        let gap = rest.trailing_zeros();
+                        rest >>= gap;
+                        let run = rest.trailing_ones();
+                        let (from, to) = (
+                            self.power[at + gap as usize],
+                            self.power[at + (gap + run) as usize],
+                        );
+                        count += i64::from(run);
+                        sum += to[0] - from[0];
+                        squares += to[1] - from[1];
+                        at += (gap + run) as usize;
+                        // twice, since a run may be the whole word
+                        rest = rest >> (run - 1) >> 1;
+                    }
+                    done += length;
                 }
-                // index into `power` of the window's bit 0
-                let mut at = (done - w + self.widest) as usize;
-                while rest != 0 {
-                    let gap = rest.trailing_zeros();
-                    rest >>= gap;
-                    at += gap as usize;
-                    let run = rest.trailing_ones();
-                    let (from, to) = (self.power[at], self.power[at + run as usize]);
-                    count += i64::from(run);
-                    sum += to[0] - from[0];
-                    squares += to[1] - from[1];
-                    at += run as usize;
-                    rest = if run == 64 { 0 } else { rest >> run };
-                }
-                done += length;
+                let dy = i64::from(dy);
+                n += count;
+                sx += sum;
+                sxx += squares;
+                sy += dy * count;
+                syy += dy * dy * count;
+                sxy += dy * sum;
             }
-            if count == 0 {
-                continue;
-            }
-            let (dy, dz) = (i64::from(row.dy), i64::from(row.dz));
-            m.count += count;
-            m.first[0] += sum;
-            m.first[1] += dy * count;
-            m.first[2] += dz * count;
-            m.second[0] += squares;
-            m.second[1] += dy * dy * count;
-            m.second[2] += dz * dz * count;
-            m.second[3] += dy * sum;
-            m.second[4] += dz * sum;
-            m.second[5] += dy * dz * count;
+            let dz = i64::from(plane.dz);
+            m.count += n;
+            m.first[0] += sx;
+            m.first[1] += sy;
+            m.first[2] += dz * n;
+            m.second[0] += sxx;
+            m.second[1] += syy;
+            m.second[2] += dz * dz * n;
+            m.second[3] += sxy;
+            m.second[4] += dz * sx;
+            m.second[5] += dz * sy;
         }
         m
     }
@@ -191,25 +224,30 @@ impl IntegralKernel {
         let near = core.lo.map(|c| c - 1);
         let size = [0, 1, 2].map(|a| (core.hi[a] - near[a]) as usize);
         let mut slots = vec![0u32; size[0] * size[1] * size[2]];
-        let mut evaluated: Vec<(Symmetric, [i64; 3])> = Vec::new();
+        let mut voxels = Vec::new();
         let mut at = |p: [i32; 3]| -> u32 {
             let [x, y, z] = [0, 1, 2].map(|a| (p[a] - near[a]) as usize);
             let slot = &mut slots[(z * size[1] + y) * size[0] + x];
             if *slot == 0 {
-                let m = self.moments(&bits, p);
-                evaluated.push((self.covariance(&m), m.first));
-                *slot = evaluated.len() as u32;
+                voxels.push(p);
+                *slot = voxels.len() as u32;
             }
             *slot - 1
         };
         let pairs: Vec<(u32, u32)> = (0..surfels.list.len())
             .map(|i| {
                 let surfel = surfels.oriented(i);
-                (
-                    at(surfel.inner),
-                    at(moved(surfel.inner, surfel.orientation)),
-                )
+                (at(surfel.inner), at(surfel.outer()))
             })
+            .collect();
+        let moments = dispatch(MomentsOf {
+            kernel: self,
+            bits: &bits,
+            voxels: &voxels,
+        });
+        let evaluated: Vec<(Symmetric, [i64; 3])> = moments
+            .iter()
+            .map(|m| (self.covariance(m), m.first))
             .collect();
         for (surfel, (inner, outer)) in surfels.list.iter().zip(pairs) {
             let (a, b) = (&evaluated[inner as usize], &evaluated[outer as usize]);
@@ -217,6 +255,7 @@ impl IntegralKernel {
             let first = [0, 1, 2].map(|i| a.1[i] + b.1[i]);
             let n = trivial_normal(surfel.orientation);
             let u = match self.orientation {
+                Orientation::Trivial if covariance == Symmetric::default() => None,
                 Orientation::Trivial => {
                     let u = eigen(&covariance).vectors[0];
                     Some(if u.dot(n) < 0.0 { -u } else { u })
@@ -235,31 +274,20 @@ impl IntegralKernel {
         if !lattice.closed {
             for (i, cut) in normals.cut.iter_mut().enumerate() {
                 let surfel = surfels.oriented(i);
-                *cut = touches_border(surfel, lattice) || self.is_cut(&bits, surfel, lattice);
+                *cut = touches_border(surfel, lattice) || self.is_cut(surfel, lattice);
             }
         }
         normals
     }
 
-    /// Whether the box around the ball of a surfel leaves the image where inside voxels lie on
-    /// the border: what continues beyond is then unknown and was taken as outside.
-    fn is_cut(&self, bits: &BitBox, surfel: OrientedSurfel, lattice: &Lattice) -> bool {
+    /// Whether the box around the ball of a surfel leaves the image: what is beyond is unknown,
+    /// and was taken as outside.
+    fn is_cut(&self, surfel: OrientedSurfel, lattice: &Lattice) -> bool {
         let reach = self.ball.reach();
         let (p, q) = (surfel.inner, surfel.outer());
-        let dims = lattice.dims.map(|n| n as i32);
-        let lo = [0, 1, 2].map(|a| p[a].min(q[a]) - reach[a]);
-        let hi = [0, 1, 2].map(|a| p[a].max(q[a]) + reach[a]);
         (0..3).any(|a| {
-            let face = |at: i32| {
-                let mut from = lo.map(|x| x.max(0));
-                let mut to = [0, 1, 2].map(|b| hi[b].min(dims[b] - 1));
-                from[a] = at;
-                to[a] = at;
-                (from[2]..=to[2]).any(|z| {
-                    (from[1]..=to[1]).any(|y| (from[0]..=to[0]).any(|x| bits.inside([x, y, z])))
-                })
-            };
-            lo[a] < 0 && face(0) || hi[a] >= dims[a] && face(dims[a] - 1)
+            let past = lattice.dims[a] as i32;
+            p[a].min(q[a]) - reach[a] < 0 || p[a].max(q[a]) + reach[a] >= past
         })
     }
 }

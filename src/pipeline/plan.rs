@@ -7,10 +7,10 @@
 //! |---|---|
 //! | program, sinks | [`FIXED_BYTES`], [`COLUMN_BYTES`] for each column of parts |
 //! | read buffer | one chunk of planes as stored, unless they are mapped |
-//! | bits, and the index of surfels | 11/16 byte a voxel (worst case) of R + 2 H + 6 S planes |
+//! | bits, and the index of surfels | 1/8 byte a voxel of 2 R + 3 H + 9 S planes, about 9/16 more (as if no brick were empty) of 2 H + 8 S of them |
 //! | surfels in flight | [`Plan::surfel_bytes`] each, within 3/4 of [`Plan::surfel_budget_bytes`] |
-//! | rows of a slab | [`Plan::row_bytes`] each, within 1/4 of it |
-//! | scratch of a worker | [`SCRATCH_BYTES`] a surfel of a brick with its halo |
+//! | rows | [`Plan::row_bytes`] a surfel of a slab, [`Plan::sent_row_bytes`] a surfel of its densest plane, within 1/4 of it |
+//! | scratch of a worker | [`SCRATCH_BYTES`] a surfel of a brick with its halo ([`CELL_SCRATCH_BYTES`] where linels and pointels are kept) |
 //!
 //! The number of surfels is only known when they are met, so slabs adapt: a slab is lowered until
 //! the surfels that must be held at once fit ([`Plan::surfel_budget_bytes`]); a surface that does
@@ -33,15 +33,25 @@ pub const COLUMN_BYTES: u64 = 24 << 20;
 /// Scratch of a worker for each surfel of a brick and its halo: place, links, measures, stamps.
 pub const SCRATCH_BYTES: u64 = 120;
 
+/// The same where linels and pointels are summed each for itself.
+pub const CELL_SCRATCH_BYTES: u64 = 300;
+
+/// Scratch of a worker for each surfel that a normal may look at.
+const NORMAL_SCRATCH_BYTES: u64 = 50;
+
 /// Surfels a voxel of the worst volumes: random noise has 1.5.
 const DENSE: f64 = 1.6;
 
 /// Stored bytes read at a time; more only makes the buffer larger.
 const READ_BYTES: u64 = 4 << 20;
 
-/// Slabs held at once beside those within reach of the sums: one in each of two channels, one
-/// computed by each of three stages, one waited for.
-const SLABS_IN_FLIGHT: u64 = 6;
+/// Slabs with an index held at once beside the planes within reach of the sums: three in the
+/// window of the sums, which reach cuts anywhere, one in a channel, one measured and one it waits
+/// for, one in a channel, one whose normals are made.
+const SLABS_IN_FLIGHT: u64 = 8;
+
+/// Planes of rows on their way at once: one made, two in the channel, one in the sinks.
+const SENT_PLANES: u64 = 4;
 
 /// How a run will use its memory.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -72,8 +82,10 @@ pub struct Plan {
     pub surfel_budget_bytes: u64,
     /// Memory of a surfel in flight.
     pub surfel_bytes: u64,
-    /// Memory of a row, both as computed and as handed to the sinks.
+    /// Memory of a row of a slab, as computed.
     pub row_bytes: u64,
+    /// Memory of a row of the densest plane, as handed to the sinks.
+    pub sent_row_bytes: u64,
 }
 
 /// Why there is no plan.
@@ -127,6 +139,13 @@ pub struct PlanRequest<'a> {
 }
 
 impl Plan {
+    /// Planes that must follow a slab before it can be let go: those within reach of its sums, and
+    /// two more for the measures of their cells.
+    #[must_use]
+    pub fn planes_ahead(&self) -> i32 {
+        self.ball_reach[2] + 4
+    }
+
     /// Makes a plan.
     ///
     /// # Errors
@@ -158,12 +177,14 @@ impl Plan {
         }
         let lumped = balls.iter().all(|b| b.weights() == Weights::Lumped);
         let radii = balls.len() as u64;
-        let row_bytes = 36 + radii * if request.directions { 44 } else { 20 };
+        let with_directions = |plain: u64| plain + if request.directions { 24 } else { 0 };
+        let row_bytes = 32 + radii * with_directions(20);
+        let sent_row_bytes = SENT_PLANES * (41 + radii * with_directions(18));
         // u, measures, marks
-        let surfel_bytes = 30 + if lumped { 65 } else { 125 };
+        let surfel_bytes = 30 + if lumped { 65 } else { 130 };
         let [x, y, z] = lattice.dims.map(u64::from);
         let plane_bits = x.div_ceil(64) * 8 * y;
-        let stored_plane = x * y * request.voxel_bytes;
+        let stored_plane = (x * y).saturating_mul(request.voxel_bytes);
         let read_planes = (READ_BYTES / stored_plane.max(1)).clamp(1, 64).min(z);
         let read_bytes = if request.buffered {
             2 * read_planes * stored_plane
@@ -173,24 +194,37 @@ impl Plan {
         let columns = Parts::new(lattice.dims).columns();
         let columns = u64::from(columns[0]) * u64::from(columns[1]);
         let fixed_bytes = FIXED_BYTES + (columns - 1) * COLUMN_BYTES + request.sink_bytes;
-        let bits_bytes = |slab: i32| {
-            let planes = normal_reach[2] as u64
-                + 2 * (ball_reach[2] as u64 + 1)
-                + SLABS_IN_FLIGHT * slab as u64;
-            // bits, and 3 words of 12 bytes of index for each word of bits
-            (plane_bits * planes.min(z + 1)).saturating_mul(11) / 2
+        let (normal_z, ball_z) = (normal_reach[2] as u64, ball_reach[2] as u64);
+        let bits_bytes = |edge: i32, slab: i32| {
+            let indexed = (2 * ball_z + SLABS_IN_FLIGHT * slab as u64).min(z + 1);
+            let packed = indexed + 2 * normal_z + ball_z + 6 + slab as u64 + 3 * read_planes;
+            // 3 words of 12 bytes for each word of a row; rows start on a word in each brick
+            let edge = edge as u64;
+            let plane_index = x.div_ceil(edge) * edge.div_ceil(64) * 36 * y;
+            let packed = plane_bits.saturating_mul(packed.min(z + 1));
+            packed.saturating_add(plane_index.saturating_mul(indexed))
+        };
+        let surfel_scratch = if lumped {
+            SCRATCH_BYTES
+        } else {
+            CELL_SCRATCH_BYTES
         };
         let scratch_bytes = |edge: i32, slab: i32| {
-            let cells = f64::from((edge + 2 * ball_reach[0]).min(lattice.dims[0] as i32 + 1))
-                * f64::from((edge + 2 * ball_reach[1]).min(lattice.dims[1] as i32 + 1))
-                * f64::from((slab + 2 * ball_reach[2]).min(lattice.dims[2] as i32 + 1));
-            (cells * DENSE * SCRATCH_BYTES as f64) as u64 * request.threads as u64
+            let grown = |reach: [i32; 3], bytes: u64| {
+                let cells = f64::from((edge + 2 * reach[0]).min(lattice.dims[0] as i32 + 1))
+                    * f64::from((edge + 2 * reach[1]).min(lattice.dims[1] as i32 + 1))
+                    * f64::from((slab + 2 * reach[2]).min(lattice.dims[2] as i32 + 1));
+                (cells * DENSE * bytes as f64) as u64
+            };
+            let most =
+                grown(ball_reach, surfel_scratch).max(grown(normal_reach, NORMAL_SCRATCH_BYTES));
+            most * request.threads as u64
         };
         let base = fixed_bytes.saturating_add(read_bytes);
         let left = request.memory_bytes.saturating_sub(base);
         // Bits may take up to 3/8 and scratch up to 1/4; the rest is for surfels.
         let fits = |edge: i32, slab: i32| {
-            bits_bytes(slab) <= left / 8 * 3 && scratch_bytes(edge, slab) <= left / 4
+            bits_bytes(edge, slab) <= left / 8 * 3 && scratch_bytes(edge, slab) <= left / 4
         };
         const HEIGHTS: [i32; 12] = [64, 48, 32, 24, 16, 12, 8, 6, 4, 3, 2, 1];
         let edges: &[i32] = match request.brick {
@@ -211,8 +245,9 @@ impl Plan {
         };
         let Some((brick_edge, slab_planes)) = chosen else {
             let edge = edges[edges.len() - 1];
-            let needed =
-                (bits_bytes(1).saturating_mul(8) / 3).max(scratch_bytes(edge, 1).saturating_mul(4));
+            let needed = (bits_bytes(edge, 1) / 3)
+                .saturating_mul(8)
+                .max(scratch_bytes(edge, 1).saturating_mul(4));
             return Err(PlanError::Memory {
                 allowed_bytes: request.memory_bytes,
                 needed_bytes: base.saturating_add(needed).saturating_add(16 << 20),
@@ -220,7 +255,7 @@ impl Plan {
             });
         };
         let (bits_bytes, scratch_bytes) = (
-            bits_bytes(slab_planes),
+            bits_bytes(brick_edge, slab_planes),
             scratch_bytes(brick_edge, slab_planes),
         );
         Ok(Self {
@@ -237,7 +272,8 @@ impl Plan {
             fixed_bytes,
             surfel_budget_bytes: left - bits_bytes - scratch_bytes,
             surfel_bytes,
-            row_bytes: 2 * row_bytes,
+            row_bytes,
+            sent_row_bytes,
         })
     }
 }

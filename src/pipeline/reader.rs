@@ -33,7 +33,7 @@ pub struct ReadCounts {
 pub(super) fn read(
     source: Source,
     shared: &Shared<'_>,
-    out: &Sender<Vec<Arc<BitPlane>>>,
+    out: Sender<Vec<Arc<BitPlane>>>,
 ) -> Result<ReadCounts, Error> {
     let Source { volume, binarizer } = source;
     let depth = volume.header.dims[2];
@@ -84,6 +84,7 @@ pub(super) fn read(
             return Err(Error::Stopped);
         }
     }
+    drop(out);
     match &mut voxels {
         Voxels::Forward(forward) => counts.warnings = forward.finish()?,
         Voxels::Random(random) => random.check()?,

@@ -6,7 +6,7 @@ use glam::DVec3;
 
 use crate::curvature::Curvature;
 use crate::khalimsky::sign;
-use crate::measure::ball::{BallScratch, BallSums, LocalMeasures};
+use crate::measure::ball::{BallSums, LocalMeasures};
 use crate::measure::cells::{CellMeasures, mark};
 use crate::measure::fixed;
 use crate::measure::surface::Surface;
@@ -21,6 +21,8 @@ pub(super) struct BrickRows {
     surfels: Vec<SurfelRow>,
     /// For each radius, one a surfel.
     curvatures: Vec<Vec<CurvatureRow>>,
+    /// The same of d1 and d2; empty unless they are wanted.
+    directions: Vec<Vec<[[f32; 3]; 2]>>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -34,8 +36,38 @@ struct SurfelRow {
 #[derive(Clone, Copy, Debug)]
 struct CurvatureRow {
     values: [f32; 4],
-    directions: [[f32; 3]; 2],
     flags: FlagSet,
+}
+
+/// A batch with room for `count` rows.
+pub(super) fn empty_batch(shared: &Shared<'_>, column: [u32; 2], count: usize) -> SurfelBatch {
+    let floats = || Vec::with_capacity(count);
+    let triple = || [floats(), floats(), floats()];
+    let direction = || {
+        if shared.settings.directions {
+            triple()
+        } else {
+            Default::default()
+        }
+    };
+    let curvatures = |_| CurvatureColumns {
+        mean: floats(),
+        gaussian: floats(),
+        k1: floats(),
+        k2: floats(),
+        d1: direction(),
+        d2: direction(),
+        flags: Vec::with_capacity(count),
+    };
+    SurfelBatch {
+        column,
+        k: [0; 3].map(|_| Vec::with_capacity(count)),
+        side: Vec::with_capacity(count),
+        position: triple(),
+        normal: triple(),
+        area: floats(),
+        curvatures: shared.kernels.balls.iter().map(curvatures).collect(),
+    }
 }
 
 impl BrickRows {
@@ -50,17 +82,15 @@ impl BrickRows {
         let lattice = shared.lattice;
         let unit = lattice.voxel_unit_world();
         let balls = &shared.kernels.balls;
-        let mut scratch = BallScratch::default();
         let mut rows = Self {
             surfels: Vec::with_capacity(u.len()),
-            curvatures: balls.iter().map(|_| Vec::with_capacity(u.len())).collect(),
+            ..Default::default()
         };
-        for start in 0..surface.len() {
+        let cores: Vec<usize> = (0..surface.len())
+            .filter(|&i| core.contains(surface.surfels.oriented(i).cell()))
+            .collect();
+        for (number, &start) in cores.iter().enumerate() {
             let surfel = surface.surfels.oriented(start);
-            if !core.contains(surfel.cell()) {
-                continue;
-            }
-            let number = rows.surfels.len();
             let mu0 = if own.lumped.is_empty() {
                 own.mu0[number]
             } else {
@@ -72,16 +102,25 @@ impl BrickRows {
                 normal: to_world(shared, u[number]),
                 area: (fixed::to_measure(i128::from(mu0)) * unit * unit) as f32,
             });
-            for (ball, column) in balls.iter().zip(&mut rows.curvatures) {
-                let sums = ball.sum(surface, measures, start, &mut scratch);
-                let curvature = Curvature::from_sums(&sums, u[number], unit);
-                let flags = flags(
-                    &sums,
-                    own.marks[number],
-                    curvature.as_ref(),
-                    ball.radius() * unit,
-                );
-                column.push(CurvatureRow::new(shared, curvature, flags));
+        }
+        for ball in balls {
+            let radius_world = ball.radius() * unit;
+            let mut curvatures = Vec::with_capacity(u.len());
+            let mut principal = Vec::new();
+            for (number, sums) in ball.sums(surface, measures, &cores).iter().enumerate() {
+                let curvature = Curvature::from_sums(sums, u[number], unit);
+                let values = curvature.map_or([f32::NAN; 4], |c| {
+                    [c.mean, c.gaussian, c.k1, c.k2].map(|x| x as f32)
+                });
+                let flags = flags(sums, own.marks[number], curvature.as_ref(), radius_world);
+                curvatures.push(CurvatureRow { values, flags });
+                if shared.settings.directions {
+                    principal.push(directions(shared, curvature.as_ref()));
+                }
+            }
+            rows.curvatures.push(curvatures);
+            if shared.settings.directions {
+                rows.directions.push(principal);
             }
         }
         rows
@@ -94,9 +133,6 @@ impl BrickRows {
         run: Range<usize>,
         shared: &Shared<'_>,
     ) {
-        if batch.curvatures.is_empty() {
-            batch.curvatures = vec![CurvatureColumns::default(); self.curvatures.len()];
-        }
         for row in &self.surfels[run.clone()] {
             let position = shared.lattice.khalimsky_to_world(row.k);
             for a in 0..3 {
@@ -114,31 +150,24 @@ impl BrickRows {
                 columns.k1.push(row.values[2]);
                 columns.k2.push(row.values[3]);
                 columns.flags.push(row.flags);
-                if shared.settings.directions {
-                    for a in 0..3 {
-                        columns.d1[a].push(row.directions[0][a]);
-                        columns.d2[a].push(row.directions[1][a]);
-                    }
+            }
+        }
+        for (directions, columns) in self.directions.iter().zip(&mut batch.curvatures) {
+            for [d1, d2] in &directions[run.clone()] {
+                for a in 0..3 {
+                    columns.d1[a].push(d1[a]);
+                    columns.d2[a].push(d2[a]);
                 }
             }
         }
     }
 }
 
-impl CurvatureRow {
-    fn new(shared: &Shared<'_>, curvature: Option<Curvature>, flags: FlagSet) -> Self {
-        match curvature {
-            None => Self {
-                values: [f32::NAN; 4],
-                directions: [[f32::NAN; 3]; 2],
-                flags,
-            },
-            Some(c) => Self {
-                values: [c.mean, c.gaussian, c.k1, c.k2].map(|x| x as f32),
-                directions: [c.d1, c.d2].map(|d| to_world(shared, upward(d))),
-                flags,
-            },
-        }
+/// d1 and d2 in world axes.
+fn directions(shared: &Shared<'_>, curvature: Option<&Curvature>) -> [[f32; 3]; 2] {
+    match curvature {
+        None => [[f32::NAN; 3]; 2],
+        Some(c) => [c.d1, c.d2].map(|d| to_world(shared, upward(d))),
     }
 }
 
@@ -169,7 +198,7 @@ fn flags(sums: &BallSums, marks: u8, curvature: Option<&Curvature>, radius_world
             flags |= flag.bit();
         }
     };
-    set(sums.marks & mark::CUT != 0 || sums.rim.open, Flag::Border);
+    set(sums.cut, Flag::Border);
     set(sums.several_sheets, Flag::SeveralSheets);
     set(sums.rim.is_island(), Flag::Island);
     set(marks & mark::OPPOSED != 0, Flag::NormalOpposed);

@@ -151,16 +151,13 @@ impl Shared<'_> {
         }
         self.failed.load(Ordering::Relaxed)
     }
-
-    pub(super) fn abort_flag(&self) -> &AtomicBool {
-        self.failed
-    }
 }
 
 /// Runs the pipeline to its end: every row goes to every sink, in order, and the sinks finish.
 ///
-/// `stop` may be set from any thread; the run then returns [`Error::Stopped`] within a slab's
-/// time, and the sinks are left as they are when dropped: what is complete stays.
+/// `stop` may be set from any thread; the run then returns [`Error::Stopped`] as soon as the
+/// bricks in work are done (and, for an input that blocks, its next bytes have come), and the
+/// sinks are left as they are when dropped: what is complete stays.
 ///
 /// # Errors
 /// The first error of any stage.
@@ -200,6 +197,8 @@ pub fn run(
         let (normals_out, normals_in) = bounded(1);
         let (cells_out, cells_in) = bounded(1);
         let (rows_out, rows_in) = bounded(2);
+        // Says that the input was sound to its end; only then may the sinks finish.
+        let (sound_out, sound_in) = bounded(1);
         /// Runs a stage; a failure wakes the others.
         fn stage<T>(
             shared: &Shared<'_>,
@@ -212,7 +211,14 @@ pub fn run(
             result
         }
         // Each closure owns its ends of the channels, so they close when the stage returns.
-        let reader = scope.spawn(move || stage(shared, || read(source, shared, &planes_out)));
+        let reader = scope.spawn(move || {
+            stage(shared, || {
+                let counts = read(source, shared, planes_out)?;
+                // Nobody listens only if the sinks have failed, which they report themselves.
+                let _ = sound_out.send(());
+                Ok(counts)
+            })
+        });
         let normals = scope.spawn(move || {
             stage(shared, || {
                 let (planes_in, normals_out) = (planes_in, normals_out);
@@ -231,7 +237,7 @@ pub fn run(
                 stages::sums(shared, &cells_in, &rows_out)
             })
         });
-        let sunk = stage(shared, || stages::sink(shared, rows_in, sinks));
+        let sunk = stage(shared, || stages::sink(shared, rows_in, &sound_in, sinks));
         let reader = joined(reader);
         let normals = joined(normals);
         let cells = joined(cells);

@@ -19,7 +19,7 @@ use crate::surfel::{CellBox, SurfelIndex, Surfels};
 use crate::volume::{BitBox, BitPlane, PlaneWindow, SolidCounts};
 
 use super::budget::Grant;
-use super::rows::BrickRows;
+use super::rows::{self, BrickRows};
 use super::run::Shared;
 
 /// Surfels of a brick and their normals.
@@ -134,10 +134,12 @@ impl Arrived<'_> {
         self.counts.extend(counts);
     }
 
+    /// Surfels of planes of cells, as far as they have arrived.
     fn surfels(&self, z: Range<i32>) -> u64 {
         let from = (z.start - self.counted_from).max(0) as usize;
-        let to = (z.end - self.counted_from) as usize;
-        self.counts.range(from..to.max(from)).sum()
+        let to = (z.end - self.counted_from).max(0) as usize;
+        let to = to.min(self.counts.len());
+        self.counts.range(from.min(to)..to).sum()
     }
 
     fn release_before(&mut self, planes: i32, counts: i32) {
@@ -173,15 +175,16 @@ pub(super) fn normals(
         counted_from: 0,
         done: false,
     };
+    let ahead = reach.max(shared.plan.planes_ahead());
     let mut slabs: VecDeque<Range<i32>> = VecDeque::new();
     let mut solid = SolidCounts::default();
     let mut z = 0;
     while z < depth {
-        arrived.wait_for(z + shared.plan.slab_planes + reach)?;
+        arrived.wait_for(z + shared.plan.slab_planes + ahead)?;
         let (end, surfels) = choose_slab(shared, &arrived, &mut slabs, z)?;
         let Some(grant) = shared
             .budget
-            .take(surfels * shared.plan.surfel_bytes, shared.abort_flag())
+            .take(surfels * shared.plan.surfel_bytes, || shared.stopped())
         else {
             return Err(Error::Stopped);
         };
@@ -216,10 +219,6 @@ pub(super) fn normals(
             bricks,
             _grant: grant,
         };
-        debug_assert_eq!(
-            surfels,
-            slab.bricks.iter().map(|b| b.u.len() as u64).sum::<u64>()
-        );
         if shared.stopped() || out.send(Arc::new(slab)).is_err() {
             return Err(Error::Stopped);
         }
@@ -233,9 +232,11 @@ pub(super) fn normals(
 
 /// Chooses where the slab that begins at plane `z` ends, and counts its surfels.
 ///
-/// The last stage can finish a slab, and so give memory back, only when the slabs within its
-/// reach exist. The slabs that must exist together are those from the lower reach of the first
-/// unfinished slab on; as long as they fit the budget, waiting for memory always ends.
+/// While this slab waits for memory, the stages below go on as far as the slabs before it let
+/// them: cells are measured for slabs that end at least 2 planes below `z`, so sums are done for
+/// slabs whose end and reach are below the last of those ends. What is still held then, with the
+/// slab itself, must fit the budget; then waiting always ends. A slab of several planes is only
+/// chosen if the planes that must follow before *it* can be let go would fit too.
 fn choose_slab(
     shared: &Shared<'_>,
     arrived: &Arrived<'_>,
@@ -243,37 +244,50 @@ fn choose_slab(
     z: i32,
 ) -> Result<(i32, u64), Error> {
     let depth = shared.lattice.cell_dims()[2];
-    let reach = shared.plan.ball_reach[2] + 2;
-    // The first slab that still waits for plane z, and the lowest it needs.
+    let reach = shared.plan.ball_reach[2];
+    let measured = slabs
+        .iter()
+        .map(|s| s.end)
+        .filter(|&end| end <= z - 2)
+        .max()
+        .unwrap_or(0);
     let waiting = slabs
         .iter()
-        .find(|s| s.end + reach > z)
+        .find(|s| s.end + reach + 1 > measured)
         .map_or(z, |s| s.start);
     let lowest = slabs
         .iter()
-        .find(|s| s.end > waiting - reach)
+        .find(|s| s.end > waiting - reach - 1)
         .map_or(z, |s| s.start);
     while slabs.front().is_some_and(|s| s.end <= lowest) {
         slabs.pop_front();
     }
     let held = arrived.surfels(lowest..z);
-    let mut height = shared.plan.slab_planes.min(depth - z);
+    let plan = shared.plan;
+    let (room, room_of_rows) = (shared.budget.limit(), plan.surfel_budget_bytes / 4);
+    let mut height = plan.slab_planes.min(depth - z);
     loop {
-        let own = arrived.surfels(z..z + height);
-        let bytes = (held + own) * shared.plan.surfel_bytes;
-        let rows = own * shared.plan.row_bytes;
-        let (room, room_of_rows) = (shared.budget.limit(), shared.plan.surfel_budget_bytes / 4);
-        // Some room is left for the next slab, so that stages overlap.
-        let ample = bytes <= room / 4 * 3 && rows <= room_of_rows;
-        if ample || height == 1 && bytes <= room && rows <= room_of_rows {
-            return Ok((z + height, own));
+        let end = z + height;
+        let own = arrived.surfels(z..end);
+        let densest = (z..end)
+            .map(|z| arrived.surfels(z..z + 1))
+            .max()
+            .unwrap_or(0);
+        let rows = own * plan.row_bytes + densest * plan.sent_row_bytes;
+        let bytes = (held + own) * plan.surfel_bytes;
+        let follow = arrived.surfels(end..(end + plan.planes_ahead()).min(depth));
+        let fits = bytes <= room && rows <= room_of_rows;
+        if fits && (height == 1 || bytes + follow * plan.surfel_bytes <= room) {
+            return Ok((end, own));
         }
         if height == 1 {
-            let more = bytes.saturating_sub(room) * 2 + rows.saturating_sub(room_of_rows) * 4;
+            // A larger plan spends part of what is added on bits and scratch: at most 5/8.
+            let more =
+                (bytes.saturating_sub(room) * 4 / 3).max(rows.saturating_sub(room_of_rows) * 4);
             return Err(Error::TooDense {
                 plane: z,
                 surfels: held + own,
-                needed_bytes: shared.plan.memory_bytes + more + more / 2,
+                needed_bytes: plan.memory_bytes + 3 * more,
             });
         }
         height /= 2;
@@ -282,7 +296,7 @@ fn choose_slab(
 
 fn normal_brick(shared: &Shared<'_>, window: &PlaneWindow, core: CellBox) -> NormalBrick {
     let bits = BitBox::cut(window, core.lo.map(|c| c - 1), core.hi.map(|c| c + 1));
-    let index = SurfelIndex::find(&bits, core, shared.lattice);
+    let index = SurfelIndex::find(&bits, core, shared.lattice).compact();
     if index.is_empty() || shared.stopped() {
         return NormalBrick {
             index,
@@ -515,7 +529,7 @@ fn send_plane(
     shared: &Shared<'_>,
     grid: &BrickGrid,
     window: &SlabWindow<MeasureSlab>,
-    rows: &[BrickRows],
+    computed: &[BrickRows],
     plane: i32,
     out: &Sender<Rows>,
 ) -> Result<(), ()> {
@@ -540,13 +554,13 @@ fn send_plane(
                 lo: [x0, y0, plane],
                 hi: [x1, y1, plane + 1],
             };
-            let mut batch = SurfelBatch {
-                column,
-                ..Default::default()
-            };
-            window.for_each_run(grid, cells, |_, number, run| {
-                rows[number].append_to(&mut batch, run, shared);
-            });
+            let mut runs = Vec::new();
+            window.for_each_run(grid, cells, |_, number, run| runs.push((number, run)));
+            let count = runs.iter().map(|(_, run)| run.len()).sum();
+            let mut batch = rows::empty_batch(shared, column, count);
+            for (number, run) in runs {
+                computed[number].append_to(&mut batch, run, shared);
+            }
             let last_of_plane = cx + 1 == columns[0] && cy + 1 == columns[1];
             out.send(Rows {
                 batch,
@@ -562,6 +576,7 @@ fn send_plane(
 pub(super) fn sink(
     shared: &Shared<'_>,
     input: Receiver<Rows>,
+    sound: &Receiver<()>,
     sinks: &mut [&mut dyn SurfelSink],
 ) -> Result<(), Error> {
     let mut planes = 0;
@@ -584,6 +599,10 @@ pub(super) fn sink(
         }
     }
     if shared.stopped() || planes != shared.lattice.cell_dims()[2] as u64 {
+        return Err(Error::Stopped);
+    }
+    // A checksum behind the last plane can still be wrong.
+    if sound.recv().is_err() {
         return Err(Error::Stopped);
     }
     for sink in sinks.iter_mut() {

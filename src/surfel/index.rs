@@ -161,6 +161,17 @@ impl SurfelIndex {
         }
     }
 
+    /// The same index; without surfels it keeps no memory, and only [`Self::is_empty`] and
+    /// [`Self::cells`] may be asked of it.
+    #[must_use]
+    pub fn compact(mut self) -> Self {
+        if self.is_empty() {
+            self.words = Vec::new();
+            self.rank = vec![0];
+        }
+        self
+    }
+
     /// Number of surfels.
     #[inline]
     #[must_use]
@@ -186,7 +197,7 @@ impl SurfelIndex {
         self.words.len() * 8 + self.rank.len() * 4
     }
 
-    #[inline]
+    #[inline(always)]
     fn row_start(&self, kind: Kind, y: i32, z: i32) -> usize {
         let size_y = (self.cells.hi[1] - self.cells.lo[1]) as usize;
         let (y, z) = (
@@ -202,7 +213,7 @@ impl SurfelIndex {
     }
 
     /// Number of surfels before the cell at `x` (which may be one past the row) of a row.
-    #[inline]
+    #[inline(always)]
     fn rank_at(&self, row_start: usize, x: i32) -> u32 {
         let x = (x - self.cells.lo[0]) as usize;
         let (w, bit) = (x / 64, x % 64);
@@ -214,7 +225,7 @@ impl SurfelIndex {
     }
 
     /// Numbers of the surfels of one kind in the cells `x` of a row.
-    #[inline]
+    #[inline(always)]
     #[must_use]
     pub fn range(&self, kind: Kind, x: Range<i32>, y: i32, z: i32) -> Range<usize> {
         let row = self.row_start(kind, y, z);
@@ -222,7 +233,7 @@ impl SurfelIndex {
     }
 
     /// How many surfels of one kind are in the cells `x` of a row.
-    #[inline]
+    #[inline(always)]
     #[must_use]
     pub fn count(&self, kind: Kind, x: Range<i32>, y: i32, z: i32) -> u32 {
         let row = self.row_start(kind, y, z);

@@ -37,7 +37,7 @@ impl Rim {
 impl Walker {
     /// Walks over C(`start`), which is left in [`Self::part`], nearest in steps first. `ball` is in
     /// Khalimsky coordinates, and the box must cover all surfels in it.
-    #[inline]
+    #[inline(always)]
     pub fn walk(&mut self, surfels: &Surfels, links: &Links, ball: &Ball, start: usize) -> Rim {
         let centre = surfels.list[start].k;
         self.walk_where(links, surfels.list.len(), start, |n| {
@@ -47,7 +47,7 @@ impl Walker {
 
     /// Walks over the surfels for which `belongs` holds and which are reached from `start` through
     /// such surfels. `belongs` is asked once for each surfel, `start` first.
-    #[inline]
+    #[inline(always)]
     pub fn walk_where(
         &mut self,
         links: &Links,

@@ -109,7 +109,11 @@ impl Criterion {
             a.trim().parse().map_err(|_| error())?,
             b.trim().parse().map_err(|_| error())?,
         );
-        if a.real > b.real {
+        let descending = match (a.whole, b.whole) {
+            (Some(a), Some(b)) => a > b,
+            _ => a.real > b.real,
+        };
+        if descending {
             return Err(error());
         }
         Ok(Criterion::Between(a, b))
@@ -417,7 +421,14 @@ mod tests {
             Criterion::range("1..2.5").unwrap(),
             Criterion::Between(1i128.into(), 2.5.into())
         );
-        for bad in ["", "1", "2..1", "a..b", "1..nan"] {
+        for bad in [
+            "",
+            "1",
+            "2..1",
+            "a..b",
+            "1..nan",
+            "9007199254740993..9007199254740992",
+        ] {
             assert!(Criterion::range(bad).is_err(), "{bad}");
         }
         assert!("nan".parse::<Number>().is_err());

@@ -1,9 +1,10 @@
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
+use curvox::Error;
 use curvox::curvature::Curvature;
 use curvox::lattice::Lattice;
-use curvox::measure::ball::{BallKernel, BallScratch, BallSums, LocalMeasures, Weights};
+use curvox::measure::ball::{BallKernel, BallSums, LocalMeasures, Weights};
 use curvox::measure::cells::{CellTotals, Keep, evaluate, mark};
 use curvox::measure::surface::Surface;
 use curvox::normal::NormalKernel;
@@ -148,17 +149,17 @@ pub(crate) fn whole(solid: &Solid, settings: &Settings) -> Whole {
         lattice,
     )
     .unwrap();
-    let mut scratch = BallScratch::default();
-    let rows = (0..surface.len())
-        .map(|i| {
-            let sums = ball.sum(&surface, &measures, i, &mut scratch);
-            FullRow {
-                k: surface.surfels.khalimsky(i),
-                u: normals.u[i],
-                marks: marks[i],
-                curvature: Curvature::from_sums(&sums, normals.u[i], lattice.voxel_unit_world()),
-                sums,
-            }
+    let starts: Vec<usize> = (0..surface.len()).collect();
+    let rows = ball
+        .sums(&surface, &measures, &starts)
+        .into_iter()
+        .enumerate()
+        .map(|(i, sums)| FullRow {
+            k: surface.surfels.khalimsky(i),
+            u: normals.u[i],
+            marks: marks[i],
+            curvature: Curvature::from_sums(&sums, normals.u[i], lattice.voxel_unit_world()),
+            sums,
         })
         .collect();
     let mut counts = SolidCounts::default();
@@ -239,8 +240,8 @@ pub(crate) fn source(solid: &Solid) -> Source {
 }
 
 /// Runs the pipeline on a solid.
-pub(crate) fn piped(solid: &Solid, settings: &Settings) -> (SurfelBatch, Outcome) {
-    let plan = settings.plan(1, true, 0).unwrap();
+pub(crate) fn tried(solid: &Solid, settings: &Settings) -> Result<(SurfelBatch, Outcome), Error> {
+    let plan = settings.plan(1, true, 0)?;
     let mut rows = Collected::default();
     let outcome = run(
         source(solid),
@@ -249,9 +250,13 @@ pub(crate) fn piped(solid: &Solid, settings: &Settings) -> (SurfelBatch, Outcome
         &mut [&mut rows],
         &Progress::default(),
         &AtomicBool::new(false),
-    )
-    .unwrap();
-    (rows.joined(), outcome)
+    )?;
+    Ok((rows.joined(), outcome))
+}
+
+/// Runs the pipeline on a solid, which must work.
+pub(crate) fn piped(solid: &Solid, settings: &Settings) -> (SurfelBatch, Outcome) {
+    tried(solid, settings).unwrap()
 }
 
 /// Bits of all floats, so that NaN equals itself.

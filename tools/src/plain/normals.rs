@@ -160,6 +160,8 @@ fn integral_invariant(
         let (_, eigenvectors) = eigen(covariance);
         let n = surfel.normal();
         let u = match orientation {
+            // A lone voxel in a small ball spreads nowhere.
+            Orientation::Dgtal if covariance == [0.0; 6] => None,
             Orientation::Dgtal => {
                 let e = eigenvectors[0];
                 Some(if dot(e, n) < 0.0 { scaled(e, -1.0) } else { e })

@@ -1,0 +1,68 @@
+use std::collections::HashMap;
+
+use curvox::measure::ball::{Extent, Weights};
+use curvox::normal::{Estimator, Orientation};
+use curvox::pipeline::Settings;
+use curvox::sink::Flag;
+use curvox_tools::plain::Solid;
+
+use crate::common::{blob, lattice, piped};
+
+/// The voxels from plane `x` on.
+fn cropped(solid: &Solid, x: i32) -> Solid {
+    let dims = [solid.dims[0] - x as usize, solid.dims[1], solid.dims[2]];
+    Solid::from_fn(dims, |p| solid.is_inside([p[0] + x, p[1], p[2]]))
+}
+
+#[test]
+fn rows_without_the_border_flag_do_not_depend_on_the_crop() {
+    let solid = blob([46, 34, 34], 21);
+    let crop = 17;
+    let ii = |radius| Estimator::IntegralInvariant {
+        radius,
+        orientation: Orientation::Moment,
+    };
+    for (estimator, radius) in [
+        (ii(3.0), 3.0),
+        (ii(3.0), 2.0),
+        (ii(2.0), 4.0),
+        (Estimator::SurfaceAverage { radius: 3.0 }, 3.0),
+        (Estimator::Trivial, 3.0),
+    ] {
+        for weights in [Weights::Lumped, Weights::Sharp, Weights::Dgtal] {
+            for extent in [Extent::Connected, Extent::Whole] {
+                let settings = |solid: &Solid| Settings {
+                    estimator,
+                    weights,
+                    extent,
+                    radii: vec![radius],
+                    ..Settings::new(lattice(solid, [1.0; 3], false))
+                };
+                let (all, _) = piped(&solid, &settings(&solid));
+                let at: HashMap<_, _> = (0..all.len()).map(|i| (all.k_at(i), i)).collect();
+                let part = cropped(&solid, crop);
+                let (rows, _) = piped(&part, &settings(&part));
+                let mut compared = 0;
+                for i in 0..rows.len() {
+                    if rows.curvatures[0].flags[i] & Flag::Border.bit() != 0 {
+                        continue;
+                    }
+                    let mut k = rows.k_at(i);
+                    k[0] += 2 * crop;
+                    let j = at[&k];
+                    let (a, b) = (&rows.curvatures[0], &all.curvatures[0]);
+                    let bits = |c: &curvox::sink::CurvatureColumns, i: usize| {
+                        [c.mean[i], c.gaussian[i], c.k1[i], c.k2[i]].map(f32::to_bits)
+                    };
+                    assert_eq!(
+                        bits(a, i),
+                        bits(b, j),
+                        "{k:?} {estimator:?} {weights:?} {extent:?}"
+                    );
+                    compared += 1;
+                }
+                assert!(compared > 300, "{compared} rows compared");
+            }
+        }
+    }
+}
