@@ -118,7 +118,7 @@ fn box_voxels_are_as_good_as_cubes_of_the_same_volume() {
 fn a_torus_has_positive_and_negative_gaussian_curvature() {
     let torus = Torus::new(6.0, 2.0).unwrap();
     let h = 0.2;
-    let d = digitise(&torus, DVec3::splat(h));
+    let d = digitise(torus, DVec3::splat(h));
     let (_, whole) = measured(&d, h);
     let [mean, gaussian] = errors(&torus, &d, &whole.rows);
     // H is about 1/3, G between -1/8 and 1/16

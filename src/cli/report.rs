@@ -192,7 +192,8 @@ fn advice(exact: &ExactTotals, radii: &[RadiusSummary]) -> Vec<String> {
     if opposed > 0 {
         advice.push(format!(
             "{opposed} surfels ({:.2} %) have a normal that does not point out of the solid, mostly \
-             on parts thinner than the normal radius; flag `normal_opposed`",
+             on parts thinner than the normal radius; flag `normal_opposed`; on thin parts \
+             `--normals average` does better, on smooth ones `--normals ii`",
             100.0 * share(opposed)
         ));
     }

@@ -170,10 +170,10 @@ impl Plan {
         if widest > Surfels::MAX_CELLS / 4 {
             return Err(PlanError::Reach(2 * widest));
         }
-        if let Some(edge) = request.brick {
-            if !(8..=1024).contains(&edge) {
-                return Err(PlanError::Brick(edge));
-            }
+        if let Some(edge) = request.brick
+            && !(8..=1024).contains(&edge)
+        {
+            return Err(PlanError::Brick(edge));
         }
         let lumped = balls.iter().all(|b| b.weights() == Weights::Lumped);
         let radii = balls.len() as u64;

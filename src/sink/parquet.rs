@@ -41,7 +41,14 @@ pub(crate) struct TableFormat {
 impl TableFormat {
     pub(crate) fn new(info: &TableInfo) -> Result<Self, SinkError> {
         info.check()?;
-        let schema = columns::schema(info);
+        // In the schema too: there Arrow's readers look for it.
+        let in_schema: std::collections::HashMap<_, _> = info.metadata().into_iter().collect();
+        let schema = Arc::new(
+            columns::schema(info)
+                .as_ref()
+                .clone()
+                .with_metadata(in_schema),
+        );
         let metadata = info
             .metadata()
             .into_iter()

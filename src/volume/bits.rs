@@ -222,7 +222,7 @@ mod tests {
                 for y in lo[1]..hi[1] {
                     for x in lo[0]..hi[0] {
                         let within =
-                            x >= 0 && x < 131 && (0..5).contains(&y) && (0..4).contains(&z);
+                            (0..131).contains(&x) && (0..5).contains(&y) && (0..4).contains(&z);
                         assert_eq!(cut.inside([x, y, z]), within && inside(x, y, z));
                     }
                     let row = cut.row(y, z);
