@@ -42,37 +42,39 @@ fn run_on(path: &Path, by: By, options: &[&str], output: &Path) -> Ended {
     ended
 }
 
-/// Runs on a file by path and through a pipe, and checks the code, the message and what is left.
-/// Gives the summaries, where there are some.
-fn check(path: &Path, expected: i32, options: &[&str]) -> Vec<Value> {
-    let mut summaries: Vec<Value> = Vec::new();
-    for by in [By::Path, By::Stdin] {
-        if by == By::Stdin && (path.is_dir() || needs_another_file(path)) {
-            continue;
-        }
-        let folder = tempfile::tempdir().unwrap();
-        let output = folder.path().join("out");
-        let ended = run_on(path, by, options, &output);
-        assert!(!ended.stderr.contains("panicked"), "{path:?}: {ended:?}");
-        assert_eq!(ended.code, Some(expected), "{path:?} by {by:?}: {ended:?}");
-        if expected == DONE {
-            assert_eq!(record(&output)["state"], "complete");
-            let summary = std::fs::read(output.join("summary.json")).unwrap();
-            summaries.push(serde_json::from_slice(&summary).unwrap());
-            continue;
-        }
-        let name = match by {
-            By::Path => path.to_str().unwrap(),
-            By::Stdin => "standard input",
-        };
-        let message = ended.message();
-        assert!(message.contains(name), "{message}");
-        // It says more than the name.
-        assert!(message.len() > name.len() + 8, "{message}");
-        println!("{expected} {message}");
-        assert_not_complete(&output);
+/// Runs on a file and checks the code, the message and what is left. Gives the summary, if there
+/// is to be one.
+fn check_by(path: &Path, by: By, expected: i32, options: &[&str]) -> Option<Value> {
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path().join("out");
+    let ended = run_on(path, by, options, &output);
+    assert_eq!(ended.code, Some(expected), "{path:?} by {by:?}: {ended:?}");
+    let ended = ended.expect(expected);
+    if expected == DONE {
+        assert_eq!(record(&output)["state"], "complete");
+        let summary = std::fs::read(output.join("summary.json")).unwrap();
+        return Some(serde_json::from_slice(&summary).unwrap());
     }
-    // A pipe gives what the file gives.
+    let name = match by {
+        By::Path => path.to_str().unwrap(),
+        By::Stdin => "standard input",
+    };
+    let message = ended.message();
+    println!("{expected} {message}");
+    assert!(message.starts_with(name), "{message}");
+    // It says more than the name.
+    assert!(message.len() > name.len() + 8, "{message}");
+    assert_not_complete(&output);
+    None
+}
+
+/// Does so by path and through a pipe, which must give the same. Gives the summaries.
+fn check(path: &Path, expected: i32, options: &[&str]) -> Vec<Value> {
+    let mut summaries = Vec::new();
+    summaries.extend(check_by(path, By::Path, expected, options));
+    if !path.is_dir() && !needs_another_file(path) {
+        summaries.extend(check_by(path, By::Stdin, expected, options));
+    }
     if let [by_path, by_stdin] = &summaries[..] {
         for key in ["exact", "radii", "rows", "spacing"] {
             assert_eq!(by_path[key], by_stdin[key], "{path:?} {key}");
@@ -137,6 +139,9 @@ const WARNED: [(&str, &str); 13] = [
     ("trailing.nii", "777 bytes follow"),
 ];
 
+/// Those whose header asks for planes that no budget of these tests holds.
+const BEYOND_MEMORY: [&str; 2] = ["dims_huge.nii", "huge.vol"];
+
 #[test]
 fn every_broken_file_is_read_or_refused_in_one_line() {
     let Some(data) = folder("CURVOX_TEST_DATA", "broken files") else {
@@ -149,6 +154,18 @@ fn every_broken_file_is_read_or_refused_in_one_line() {
         let path = folder.join(&name);
         let readable = READABLE.contains(&name.as_str());
         let expected = if readable { DONE } else { BAD_INPUT };
+        if BEYOND_MEMORY.contains(&name.as_str()) {
+            check_by(&path, By::Path, BAD_INPUT, &["--threshold", "1"]);
+            // A pipe has no length to contradict the header: the plan refuses what it asks for.
+            let folder = tempfile::tempdir().unwrap();
+            let output = folder.path().join("out");
+            let ended = run_on(&path, By::Stdin, &["--threshold", "1"], &output).expect(USAGE);
+            println!("{USAGE} {}", ended.message());
+            assert!(ended.message().contains("--memory"));
+            assert!(!output.exists());
+            counts[0] += 1;
+            continue;
+        }
         let summaries = check(&path, expected, &["--threshold", "1"]);
         counts[usize::from(readable)] += 1;
         for summary in summaries {
@@ -312,8 +329,10 @@ fn formats_that_are_not_read_are_refused_by_name() {
         ("formats/head-ct/tiff_folder", "folder"),
         ("dicom/adc-20", "folder"),
         ("dicom/adc-20/000000.dcm", "DICOM"),
+        ("real-headers/pydicom/CT_small.dcm", "DICOM"),
         ("real-headers/dgtal/cat10.pgm3d", "PGM3D"),
-        ("real-headers/nibabel/small.mnc", "NetCDF"),
+        ("real-headers/dgtal/ascii_ball.pgm3d", "PGM3D"),
+        ("real-headers/nibabel/tiny.mnc", "NetCDF"),
         ("real-headers/nibabel/minc2_1_scale.mnc", "HDF5"),
         ("real-headers/mrcfile/EMD-3001.map.bz2", "bzip2"),
     ] {
@@ -466,12 +485,12 @@ fn how_a_run_is_done_does_not_show() {
         return;
     };
     for (path, threshold, options) in [
-        ("formats/head-ct/plain.nii", "500", &["--directions"][..]),
         (
-            "volumes/lobster.vol",
-            "40",
-            &["--radius", "3vx,5vx", "--method", "paper"],
+            "formats/head-ct/plain.nii",
+            "500",
+            &["--radius", "2vx,3vx", "--directions", "--method", "paper"][..],
         ),
+        ("volumes/lobster.vol", "40", &[]),
     ] {
         let path: PathBuf = data.join(path);
         let mut expected = None;
