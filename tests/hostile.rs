@@ -128,19 +128,19 @@ const WARNED: [(&str, &str); 13] = [
     ("dims_small.vol", "6912 bytes follow"),
     ("not_gzip.nii.gz", "named as compressed"),
     ("sform_sheared.nii", "sheared"),
-    ("sform_singular.nii", "sform"),
+    ("sform_singular.nii", "the sform is no transform"),
     ("slope_nan.nii", "scl_slope is NaN"),
     ("spacing_huge.nii", "pixdim[1]"),
     ("spacing_inf.nii", "pixdim[2]"),
     ("spacing_nan.nii", "pixdim[2]"),
-    ("spacing_negative.nii", "sign"),
+    ("spacing_negative.nii", "the sign carries no meaning"),
     ("spacing_tiny.nii", "pixdim[1]"),
     ("spacing_zero.nii", "pixdim[2]"),
     ("trailing.nii", "777 bytes follow"),
 ];
 
-/// Those whose header asks for planes that no budget of these tests holds.
-const BEYOND_MEMORY: [&str; 2] = ["dims_huge.nii", "huge.vol"];
+/// Those whose header asks for planes that the memory of these tests does not hold.
+const BEYOND_MEMORY: [&str; 1] = ["dims_huge.nii"];
 
 #[test]
 fn every_broken_file_is_read_or_refused_in_one_line() {
@@ -168,14 +168,15 @@ fn every_broken_file_is_read_or_refused_in_one_line() {
         }
         let summaries = check(&path, expected, &["--threshold", "1"]);
         counts[usize::from(readable)] += 1;
-        for summary in summaries {
+        for (by, summary) in [By::Path, By::Stdin].into_iter().zip(summaries) {
             let said = summary["warnings"].to_string();
             println!("0 {name}: {said}");
-            if let Some((_, word)) = WARNED.iter().find(|(warned, _)| *warned == name) {
-                assert!(said.contains(word), "{name}: {said}");
-            } else {
-                let words = WARNED.iter().map(|(_, word)| word);
-                assert!(!words.into_iter().any(|word| said.contains(word)), "{said}");
+            let warned = WARNED.iter().find(|(warned, _)| *warned == name);
+            // A pipe has no name that could be wrong.
+            let warned = warned.filter(|_| by == By::Path || name != "not_gzip.nii.gz");
+            for (_, word) in WARNED {
+                let expected = warned.is_some_and(|(_, expected)| *expected == word);
+                assert_eq!(said.contains(word), expected, "{name} {by:?}: {said}");
             }
             // What can be read has the voxels of the file it was made from.
             if name.contains(".nii") && name != "bomb.nii.gz" {
@@ -451,7 +452,7 @@ fn the_same_volume_in_other_formats_gives_the_same_rows() {
 }
 
 /// Ways to run that must not show in the results.
-fn ways(path: &Path) -> Vec<(String, Command)> {
+fn ways(path: &Path, least_memory: &str) -> Vec<(String, Command)> {
     let of = |name: &str, options: &[&str], by: By| {
         let mut command = curvox();
         command.arg("run").args(options);
@@ -469,7 +470,7 @@ fn ways(path: &Path) -> Vec<(String, Command)> {
     ];
     for (option, values) in [
         ("--brick", &["16", "32", "64", "100"][..]),
-        ("--memory", &["96MiB", "256MiB", "1GiB"]),
+        ("--memory", &[least_memory, "256MiB", "1GiB"]),
         ("--threads", &["1", "2", "7"]),
     ] {
         for value in values {
@@ -484,20 +485,30 @@ fn how_a_run_is_done_does_not_show() {
     let Some(data) = folder("CURVOX_TEST_DATA", "the same bytes whatever the way") else {
         return;
     };
-    for (path, threshold, options) in [
+    for (path, threshold, least_memory, options) in [
         (
             "formats/head-ct/plain.nii",
             "500",
-            &["--radius", "2vx,3vx", "--directions", "--method", "paper"][..],
+            "96MiB",
+            &["--directions"][..],
         ),
-        ("volumes/lobster.vol", "40", &[]),
+        (
+            "formats/head-ct/plain.nii",
+            "1150",
+            // Two radii and measures cell by cell need more.
+            "128MiB",
+            &[
+                "--radius", "2vx,4vx", "--method", "paper", "--slices", "x=30..34",
+            ],
+        ),
+        ("volumes/lobster.vol", "40", "96MiB", &[]),
     ] {
         let path: PathBuf = data.join(path);
         let mut expected = None;
-        for (name, mut command) in ways(&path) {
+        for (name, mut command) in ways(&path, least_memory) {
             let folder = tempfile::tempdir().unwrap();
             let output = folder.path().join("out");
-            command.args(["--threshold", threshold, "--slices", "every:16", "-o"]);
+            command.args(["--threshold", threshold, "-o"]);
             command.arg(&output).args(options);
             let ended = crate::command::Running::start(&mut command).end();
             println!(
@@ -507,7 +518,7 @@ fn how_a_run_is_done_does_not_show() {
             );
             ended.expect(DONE);
             let found = results(&output);
-            assert!(found.1.len() > 2, "{name}");
+            assert!(!found.1.is_empty(), "{name}");
             let (parts, others) = expected.get_or_insert_with(|| found.clone());
             assert_eq!(*parts, found.0, "{name}");
             for (a, b) in others.iter().zip(&found.1) {
