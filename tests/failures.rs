@@ -296,6 +296,26 @@ fn an_input_that_shrinks_under_the_run_is_an_error_and_no_crash() {
 }
 
 #[test]
+fn an_input_that_is_written_to_under_the_run_is_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let planes = 2 << 10;
+    for io in ["map", "read"] {
+        let input = holes(folder.path(), planes);
+        let output = folder.path().join(io);
+        // Times of files may have steps of some milliseconds.
+        std::thread::sleep(Duration::from_millis(50));
+        let mut run = started_on_holes(&input, planes, io, &output);
+        let mut file = OpenOptions::new().write(true).open(&input).unwrap();
+        file.write_all(&[1; 5]).unwrap();
+        println!("{io}: at work when it was written to: {}", run.is_running());
+        let ended = run.end().expect(BAD_INPUT);
+        println!("{}", ended.message());
+        assert!(ended.message().contains(input.to_str().unwrap()));
+        assert_not_complete(&output);
+    }
+}
+
+#[test]
 fn an_input_that_is_removed_under_the_run_is_read_to_its_end() {
     let folder = tempfile::tempdir().unwrap();
     let planes = 1 << 10;
@@ -407,6 +427,28 @@ fn an_interrupted_run_leaves_whole_parts_and_says_so() {
         let rows = check_parts(&output);
         println!("{rows} rows in whole parts");
         assert!(rows > 0);
+    }
+}
+
+#[test]
+fn an_interrupted_run_leaves_no_part_of_a_single_file() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["out.csv", "out.parquet"] {
+        let output = folder.path().join(name);
+        let mut command = run_on_rods(Path::new("-"), 4000);
+        command.arg("-o").arg(&output).stdin(Stdio::piped());
+        command.args(["--brick", "16"]);
+        let mut run = Running::start(&mut command);
+        let mut stdin = run.stdin();
+        for z in 0..200 {
+            feed(&mut stdin, &plane(z));
+        }
+        assert!(run.wait_until(|| !files(folder.path()).is_empty()));
+        run.signal("INT");
+        // A pipe that gives nothing more would be waited for.
+        drop(stdin);
+        run.end().expect(INTERRUPTED);
+        assert_eq!(files(folder.path()), [""; 0].map(Path::new));
     }
 }
 
