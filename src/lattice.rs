@@ -228,18 +228,18 @@ impl Metric {
         if !(radius > 0.0 && radius <= MAX_RADIUS) {
             return Err(LatticeError::Radius(radius));
         }
-        let squared = factor * radius * radius;
+        let mut squared = factor * radius * radius;
         let limit = if self.one == 1 {
             // Radii such as 3 / sqrt(h) are meant to have whole squares; without the snap the
             // last bit of the division would decide whether a whole shell of voxels is in.
             let nearest = squared.round();
             if (squared - nearest).abs() <= 1e-9 * nearest {
-                nearest
-            } else {
-                squared.floor()
+                squared = nearest;
             }
+            squared.floor()
         } else {
-            (squared * self.one as f64 * (1.0 + 1e-12)).floor()
+            squared *= self.one as f64;
+            (squared * (1.0 + 1e-12)).floor()
         };
         Ok(Ball {
             radius,

@@ -105,6 +105,8 @@ fn code_of_sink(error: &SinkError) -> u8 {
     match error {
         SinkError::BrokenPipe { .. } => DONE,
         SinkError::Unsupported(_) => USAGE,
+        // Only what `info` reads back can be damaged or incomplete.
+        SinkError::Damaged { .. } | SinkError::Incomplete { .. } => BAD_INPUT,
         _ => FAILED,
     }
 }

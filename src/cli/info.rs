@@ -241,8 +241,13 @@ mod tests {
 
     #[test]
     fn fields_become_lines_and_empty_ones_none() {
-        let told =
-            json!({"a_b": 1, "c": null, "d": [], "e": {"f": "g"}, "warnings": ["one", "two"]});
+        let told = vec![
+            ("a_b", json!(1)),
+            ("c", Value::Null),
+            ("d", json!([])),
+            ("e", json!({"f": "g"})),
+            ("warnings", json!(["one", "two"])),
+        ];
         let text = as_text(&told);
         let words: Vec<Vec<&str>> = text
             .lines()

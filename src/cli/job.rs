@@ -83,6 +83,11 @@ impl JobArgs {
         settings.brick = self.resources.brick;
         if let Some(threads) = self.resources.threads {
             settings.threads = threads.into();
+            // What is done beside the stages (values, slices) keeps to the number too. A pool that
+            // is there already is as good.
+            let _ = rayon::ThreadPoolBuilder::new()
+                .num_threads(threads.into())
+                .build_global();
         }
         let buffered = matches!(volume.voxels, Voxels::Forward(_)) || !volume.source.mapped;
         let plan = settings.plan(volume.header.voxel.bytes() as u64, buffered, sink_bytes)?;
@@ -106,6 +111,7 @@ impl JobArgs {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             conventions: conventions::sentences(self.method.closed),
         };
+        info.check()?;
         let binarizer = Binarizer::new(criterion, header.voxel, header.byte_order, header.scaling);
         Ok(Job {
             binarizer,

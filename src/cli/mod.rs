@@ -25,9 +25,12 @@ mod values;
 
 use std::io::Write;
 use std::process::ExitCode;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::{ArgAction, CommandFactory, Parser, Subcommand};
 use serde_json::json;
+
+use crate::error::Error;
 
 /// Arguments of the process.
 #[derive(Parser, Debug)]
@@ -94,7 +97,14 @@ pub fn main() -> ExitCode {
     };
     log_to_stderr(cli.verbose);
     let json = cli.command.json();
-    match signals::stop_flag().and_then(|stop| cli.command.run(cli.verbose > 0, &stop)) {
+    match signals::stop_flag().and_then(|stop| {
+        let result = cli.command.run(cli.verbose > 0, &stop);
+        // What fails after Ctrl-C fails because of it: the rest of a pipeline has ended too.
+        match result {
+            Err(_) if stop.load(Ordering::Relaxed) => Err(Error::Stopped.into()),
+            other => other,
+        }
+    }) {
         Ok(()) => ExitCode::from(exit::DONE),
         Err(error) => {
             let code = exit::code(&error);
@@ -124,7 +134,7 @@ impl Command {
         }
     }
 
-    fn run(&self, verbose: bool, stop: &std::sync::atomic::AtomicBool) -> anyhow::Result<()> {
+    fn run(&self, verbose: bool, stop: &AtomicBool) -> anyhow::Result<()> {
         match self {
             Command::Run(args) => run::run(args, verbose, stop),
             Command::Plan(args) => plan::run(args, stop),

@@ -4,7 +4,7 @@ use std::io::{IsTerminal, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
 use serde_json::json;
 
 use crate::pipeline::Progress;
@@ -53,7 +53,7 @@ pub(crate) fn show(style: Style, progress: &Progress, planes: u64, done: &Atomic
         Style::Bar => ProgressBar::new(planes),
     };
     let style_of_bar = ProgressStyle::with_template(
-        "{bar:30} {percent:>3}% plane {pos}/{len}  {msg}  {elapsed_precise} (about {eta} left)",
+        "{wide_bar} {percent:>3}%  plane {pos}/{len}  {elapsed}  {msg}",
     );
     if let Ok(style) = style_of_bar {
         bar.set_style(style);
@@ -62,13 +62,18 @@ pub(crate) fn show(style: Style, progress: &Progress, planes: u64, done: &Atomic
     while !done.load(Ordering::Relaxed) {
         match style {
             Style::Bar => {
-                bar.set_position(load(&progress.planes_done));
-                bar.set_message(format!(
-                    "{} surfels",
-                    sizes::count(load(&progress.surfels_found))
-                ));
+                let planes_done = load(&progress.planes_done);
+                bar.set_position(planes_done);
+                let surfels = sizes::count(load(&progress.surfels_found));
+                // Before the first plane is done nothing is known of the speed.
+                let left = if planes_done > 0 {
+                    format!(", about {} left", HumanDuration(bar.eta()))
+                } else {
+                    String::new()
+                };
+                bar.set_message(format!("{surfels} surfels{left}"));
             }
-            Style::Lines if look % LOOKS_PER_LINE == 0 && look > 0 => {
+            Style::Lines if look > 0 && look.is_multiple_of(LOOKS_PER_LINE) => {
                 let line = json!({
                     "event": "progress",
                     "planes": planes,

@@ -62,6 +62,14 @@ pub(crate) fn run(args: &RunArgs, verbose: bool, stop: &AtomicBool) -> Result<()
             let planes = settings.lattice.cell_dims()[2].unsigned_abs().into();
             watched(style, &progress, planes, || {
                 run_pipeline(source, &settings, &plan, &mut list, &progress, stop)
+            })
+            // Ctrl-C ends the whole pipeline of a shell: an input that then ends is no bad input.
+            .map_err(|error| {
+                if stop.load(Ordering::Relaxed) {
+                    Error::Stopped
+                } else {
+                    error
+                }
             })?
         };
         let summary = totals.summary(facts.run_facts(&settings.lattice, &outcome, &totals));
