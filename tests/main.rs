@@ -23,3 +23,17 @@ mod analytic;
 
 /// The binary, run as a user would.
 mod cli;
+/// Numbers from elsewhere: DGtal's tables, the truth, counted facts about volumes.
+mod reference;
+
+/// The built command, run as a user runs it.
+#[cfg(all(unix, feature = "cli"))]
+mod command;
+
+/// The command on broken, strange and real files, and on one volume in many formats.
+#[cfg(all(unix, feature = "cli"))]
+mod hostile;
+
+/// The command when something fails: outputs, inputs, pipes, signals.
+#[cfg(all(unix, feature = "cli"))]
+mod failures;

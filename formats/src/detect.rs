@@ -10,7 +10,9 @@ use crate::open::Context;
 use crate::{nifti, npy, vol};
 
 /// Formats that are recognised in order to be refused by name: (offset, magic, name).
-const OTHER_FORMATS: [(usize, &[u8], &str); 22] = [
+const OTHER_FORMATS: [(usize, &[u8], &str); 24] = [
+    // Before TIFF: the preamble of a DICOM file may hold a TIFF header.
+    (128, b"DICM", "DICOM"),
     (0, b"II*\0", "TIFF"),
     (0, b"MM\0*", "TIFF"),
     (0, b"II+\0", "BigTIFF"),
@@ -30,9 +32,10 @@ const OTHER_FORMATS: [(usize, &[u8], &str); 22] = [
     (0, b"\xff\xd8\xff", "JPEG"),
     (0, b"BZh", "bzip2"),
     (0, b"\xfd7zXZ\0", "xz"),
-    (128, b"DICM", "DICOM"),
     (208, b"MAP ", "MRC"),
-    (0, b"P", "PGM3D"),
+    (0, b"P3D", "PGM3D"),
+    (0, b"P2", "PGM3D"),
+    (0, b"P5", "PGM3D"),
 ];
 
 /// The format of the content, or an error that says what it looks like.
@@ -53,8 +56,6 @@ pub(crate) fn detect(input: &mut Input, context: &Context<'_>) -> Result<Format,
     }
     for (offset, magic, name) in OTHER_FORMATS {
         let found = head.get(offset..).is_some_and(|h| h.starts_with(magic));
-        // "P2" or "P5" and not just any text in P.
-        let found = found && (name != "PGM3D" || matches!(head, [_, b'2' | b'5', ..]));
         if found {
             return Err(Error::unsupported(
                 context.name,

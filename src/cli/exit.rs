@@ -54,11 +54,17 @@ pub(crate) fn message(error: &anyhow::Error) -> String {
         let cause = cause.to_string();
         if text.is_empty() {
             text = cause;
-        } else if !text.contains(&cause) {
+        } else if !tells(&text, &cause) {
             text = format!("{text}: {cause}");
         }
     }
     text
+}
+
+/// Whether a text says what a cause says, but for the system's number of it.
+fn tells(text: &str, cause: &str) -> bool {
+    let words = cause.split(" (os error").next().unwrap_or(cause);
+    text.to_lowercase().contains(&words.to_lowercase())
 }
 
 /// The exit code of an error. 0 for a reader of a pipe that went away: it has all it wanted.

@@ -216,7 +216,7 @@ impl OutputArgs {
                 sinks.add(SingleSink::csv_file(path, info.clone())?);
             }
             Target::Stdout => {
-                let path = Path::new(STDOUT);
+                let path = Path::new("standard output");
                 sinks.add(self.stream(std::io::stdout(), path, info)?);
             }
             Target::Device(path) => {

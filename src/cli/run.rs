@@ -1,6 +1,7 @@
 //! `curvox run`: from a volume to curvatures.
 
 use std::io::Write;
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
@@ -32,6 +33,7 @@ pub(crate) fn run(args: &RunArgs, verbose: bool, stop: &AtomicBool) -> Result<()
     let started = Instant::now();
     let target = job_args.output.target()?;
     let job = job_args.prepare(stop)?;
+    refuse_input_as_output(job.volume.source.path.as_deref(), &target)?;
     tracing::info!(plan = ?job.plan, "planned");
     let mut sinks = job_args.output.open(
         &target,
@@ -145,6 +147,20 @@ fn asked(args: &JobArgs, job: &Job) -> Value {
         "threads": job.settings.threads,
         "brick": args.resources.brick,
     })
+}
+
+/// Refuses to write the results over the image they come from.
+fn refuse_input_as_output(input: Option<&Path>, target: &Target) -> Result<()> {
+    let (Some(input), Target::Parquet(output) | Target::Csv(output)) = (input, target) else {
+        return Ok(());
+    };
+    match (input.canonicalize(), output.canonicalize()) {
+        (Ok(input), Ok(output)) if input == output => Err(exit::usage(format!(
+            "-o {} is the input itself",
+            output.display()
+        ))),
+        _ => Ok(()),
+    }
 }
 
 /// What tells the input from another, for `run.json`.

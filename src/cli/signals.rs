@@ -10,7 +10,7 @@ use super::exit::INTERRUPTED;
 
 /// How long an interrupted run may take to end before the process does: it may be waiting for a
 /// pipe that gives nothing. Less would cut off slabs that are nearly done.
-const GRACE: Duration = Duration::from_secs(20);
+const GRACE: Duration = Duration::from_secs(5);
 
 /// A flag that is set by the first Ctrl-C or termination signal; the second ends the process.
 pub(crate) fn stop_flag() -> Result<Arc<AtomicBool>> {

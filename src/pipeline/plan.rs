@@ -6,7 +6,7 @@
 //! | what | size |
 //! |---|---|
 //! | program, sinks | [`FIXED_BYTES`], [`COLUMN_BYTES`] for each column of parts |
-//! | read buffer | one chunk of planes as stored, unless they are mapped |
+//! | read buffers | three chunks of planes as stored, unless they are mapped |
 //! | bits, and the index of surfels | 1/8 byte a voxel of 2 R + 3 H + 9 S planes, about 9/16 more (as if no brick were empty) of 2 H + 8 S of them |
 //! | surfels in flight | [`Plan::surfel_bytes`] each, within 3/4 of [`Plan::surfel_budget_bytes`] |
 //! | rows | [`Plan::row_bytes`] a surfel of a slab, [`Plan::sent_row_bytes`] a surfel of its densest plane, within 1/4 of it |
@@ -151,6 +151,42 @@ impl Plan {
     /// # Errors
     /// If the memory cannot hold the least that is needed, or a ball is too wide.
     pub fn new(request: &PlanRequest<'_>) -> Result<Self, PlanError> {
+        let refused = |needed_bytes| PlanError::Memory {
+            allowed_bytes: request.memory_bytes,
+            needed_bytes,
+            dims: request.lattice.dims,
+        };
+        match Self::within(request)? {
+            Some(plan) => Ok(plan),
+            None => {
+                // What would do, to a MiB, by trying.
+                let mib = |n: u64| PlanRequest {
+                    memory_bytes: n << 20,
+                    ..*request
+                };
+                let mut enough = 1u64;
+                while Self::within(&mib(enough))?.is_none() {
+                    if enough >= 1 << 40 {
+                        return Err(refused(u64::MAX));
+                    }
+                    enough *= 2;
+                }
+                let mut short = enough / 2;
+                while enough - short > 1 {
+                    let middle = short + (enough - short) / 2;
+                    if Self::within(&mib(middle))?.is_some() {
+                        enough = middle;
+                    } else {
+                        short = middle;
+                    }
+                }
+                Err(refused(enough << 20))
+            }
+        }
+    }
+
+    /// The plan, if the memory can hold it.
+    fn within(request: &PlanRequest<'_>) -> Result<Option<Self>, PlanError> {
         let PlanRequest {
             lattice,
             normals,
@@ -244,21 +280,13 @@ impl Plan {
             (chosen, _) => chosen,
         };
         let Some((brick_edge, slab_planes)) = chosen else {
-            let edge = edges[edges.len() - 1];
-            let needed = (bits_bytes(edge, 1) / 3)
-                .saturating_mul(8)
-                .max(scratch_bytes(edge, 1).saturating_mul(4));
-            return Err(PlanError::Memory {
-                allowed_bytes: request.memory_bytes,
-                needed_bytes: base.saturating_add(needed).saturating_add(16 << 20),
-                dims: lattice.dims,
-            });
+            return Ok(None);
         };
         let (bits_bytes, scratch_bytes) = (
             bits_bytes(brick_edge, slab_planes),
             scratch_bytes(brick_edge, slab_planes),
         );
-        Ok(Self {
+        Ok(Some(Self {
             memory_bytes: request.memory_bytes,
             threads: request.threads,
             brick_edge,
@@ -274,6 +302,6 @@ impl Plan {
             surfel_bytes,
             row_bytes,
             sent_row_bytes,
-        })
+        }))
     }
 }

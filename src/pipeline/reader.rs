@@ -2,9 +2,10 @@
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use std::time::Duration;
 
-use crossbeam_channel::Sender;
-use curvox_formats::{Header, Volume, Voxels};
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
+use curvox_formats::{ForwardVoxels, Header, Region, Volume, Voxels};
 use rayon::prelude::*;
 
 use crate::error::Error;
@@ -36,60 +37,133 @@ pub(super) fn read(
     out: Sender<Vec<Arc<BitPlane>>>,
 ) -> Result<ReadCounts, Error> {
     let Source { volume, binarizer } = source;
-    let depth = volume.header.dims[2];
+    let Volume {
+        header,
+        voxels,
+        source,
+    } = volume;
     let mut counts = ReadCounts::default();
-    let mut buffer = Vec::new();
     let mut z = 0;
-    let mut voxels = volume.voxels;
-    while z < depth {
-        if shared.stopped() {
-            return Err(Error::Stopped);
-        }
-        let mut count = shared.plan.read_planes.min(depth - z);
-        let (planes, nan) = match &mut voxels {
-            Voxels::Forward(forward) => {
-                // The reader's own errors say how far it came; 0 would be a broken reader.
-                count = forward.read_planes(count, &mut buffer)?;
-                if count == 0 {
-                    return Err(curvox_formats::Error::invalid(
-                        &volume.source.name,
-                        format!("the voxels end after {z} planes, expected {depth}"),
-                    )
-                    .into());
-                }
-                pack(&buffer, count, &volume.header, &binarizer, shared)
-            }
-            Voxels::Random(random) => {
-                if let Some(bytes) = random.planes(z, count)? {
-                    let packed = pack(bytes, count, &volume.header, &binarizer, shared);
-                    random.check()?;
-                    random.release(z + count);
-                    packed
-                } else {
-                    let [x, y, _] = volume.header.dims;
-                    let region = curvox_formats::Region {
-                        origin: [0, 0, z],
-                        size: [x, y, count],
-                    };
-                    random.read_box(&region, &mut buffer)?;
-                    random.release(z + count);
-                    pack(&buffer, count, &volume.header, &binarizer, shared)
-                }
-            }
-        };
+    let mut send = |bytes: &[u8], count: u64| {
+        let (planes, nan) = pack(bytes, count, &header, &binarizer, shared);
         z += count;
         counts.nan += nan;
         shared.progress.planes_read.store(z, Ordering::Relaxed);
-        if out.send(planes).is_err() {
+        if shared.stopped() || out.send(planes).is_err() {
             return Err(Error::Stopped);
         }
+        Ok(z)
+    };
+    match voxels {
+        Voxels::Forward(forward) => {
+            let chunk = shared.plan.read_planes;
+            let fetched = fetch(forward, header.dims[2], chunk, source.name);
+            loop {
+                match fetched.next(shared)? {
+                    Fetched::Planes(count, bytes) => {
+                        send(&bytes, count)?;
+                        fetched.recycle(bytes);
+                    }
+                    Fetched::End(warnings) => {
+                        counts.warnings = warnings;
+                        return Ok(counts);
+                    }
+                }
+            }
+        }
+        Voxels::Random(random) => {
+            let [x, y, depth] = header.dims;
+            let mut buffer = Vec::new();
+            let mut next = 0;
+            while next < depth {
+                let count = shared.plan.read_planes.min(depth - next);
+                if let Some(bytes) = random.planes(next, count)? {
+                    // Packed first and believed after: only the check says the bytes were true.
+                    let sent = send(bytes, count);
+                    random.check()?;
+                    next = sent?;
+                } else {
+                    let region = Region {
+                        origin: [0, 0, next],
+                        size: [x, y, count],
+                    };
+                    random.read_box(&region, &mut buffer)?;
+                    next = send(&buffer, count)?;
+                }
+                random.release(next);
+            }
+            random.check()?;
+            Ok(counts)
+        }
     }
-    drop(out);
-    match &mut voxels {
-        Voxels::Forward(forward) => counts.warnings = forward.finish()?,
-        Voxels::Random(random) => random.check()?,
+}
+
+/// What comes from a thread that fetches planes.
+enum Fetched {
+    /// Planes as stored, and how many.
+    Planes(u64, Vec<u8>),
+    /// All planes came and what follows them is sound, with warnings.
+    End(Vec<String>),
+}
+
+/// The near end of a thread that fetches planes.
+struct Fetching {
+    full: Receiver<Result<Fetched, curvox_formats::Error>>,
+    empty: Sender<Vec<u8>>,
+}
+
+/// Fetches planes ahead in a thread of its own, so that decompression overlaps with the rest.
+///
+/// The thread is not joined: a read from a pipe that gives nothing cannot be interrupted, and a
+/// run that is asked to stop must not wait for it. It ends when its channels close.
+fn fetch(mut voxels: Box<dyn ForwardVoxels>, depth: u64, chunk: u64, name: String) -> Fetching {
+    let (full_out, full) = bounded(1);
+    let (empty, empty_in) = bounded::<Vec<u8>>(2);
+    std::thread::spawn(move || {
+        let mut z = 0;
+        while z < depth {
+            let mut bytes = empty_in.try_recv().unwrap_or_default();
+            let fetched = match voxels.read_planes(chunk.min(depth - z), &mut bytes) {
+                // Readers say how far they came; 0 would be a broken reader.
+                Ok(0) => Err(curvox_formats::Error::invalid(
+                    &name,
+                    format!("the voxels end after {z} planes, expected {depth}"),
+                )),
+                Ok(count) => {
+                    z += count;
+                    Ok(Fetched::Planes(count, bytes))
+                }
+                Err(error) => Err(error),
+            };
+            let failed = fetched.is_err();
+            if full_out.send(fetched).is_err() || failed {
+                return;
+            }
+        }
+        // Nobody listens any more only if the run has ended.
+        let _ = full_out.send(voxels.finish().map(Fetched::End));
+    });
+    Fetching { full, empty }
+}
+
+impl Fetching {
+    fn next(&self, shared: &Shared<'_>) -> Result<Fetched, Error> {
+        loop {
+            match self.full.recv_timeout(Duration::from_millis(50)) {
+                Ok(fetched) => return Ok(fetched?),
+                Err(RecvTimeoutError::Timeout) if shared.stopped() => return Err(Error::Stopped),
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => {
+                    return Err(Error::Threads("the reading thread ended early".into()));
+                }
+            }
+        }
     }
-    Ok(counts)
+
+    fn recycle(&self, bytes: Vec<u8>) {
+        // A full channel means there are buffers enough.
+        let _ = self.empty.try_send(bytes);
+    }
 }
 
 /// Packs stored planes, rows in parallel.

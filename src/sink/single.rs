@@ -25,7 +25,7 @@ use super::parquet::{Encoder, TableFormat};
 use super::parts::Parts;
 use super::whole_file::WholeFile;
 
-/// Name of standard output on the command line and in messages.
+/// Name of standard output on the command line.
 pub const STDOUT: &str = "-";
 
 /// Writes a whole table to one place.
@@ -70,7 +70,7 @@ impl SingleSink {
         Ok(Self::new(path, info, table))
     }
 
-    /// Begins CSV on a stream; `path` names it in messages, [`STDOUT`] for standard output.
+    /// Begins CSV on a stream; `path` names it in messages.
     ///
     /// # Errors
     ///
@@ -87,7 +87,7 @@ impl SingleSink {
         Ok(Self::new(path, info, table))
     }
 
-    /// Begins an Arrow IPC stream; `path` names it in messages, [`STDOUT`] for standard output.
+    /// Begins an Arrow IPC stream; `path` names it in messages.
     ///
     /// # Errors
     ///
