@@ -24,8 +24,12 @@ pub mod plan;
 mod reader;
 mod rows;
 mod run;
+mod settings;
+mod shared;
 mod stages;
 
 pub use plan::{Plan, PlanError};
 pub use reader::{ReadCounts, Source};
-pub use run::{Outcome, Progress, Settings, run};
+pub use run::{Outcome, run};
+pub use settings::Settings;
+pub use shared::Progress;

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use crate::error::Error;
 use crate::volume::{Binarizer, BitPlane};
 
-use super::run::Shared;
+use super::shared::Shared;
 
 /// Where voxels come from, and which are inside.
 pub struct Source {

@@ -13,7 +13,7 @@ use crate::measure::surface::Surface;
 use crate::sink::{CurvatureColumns, Flag, FlagSet, SurfelBatch};
 use crate::surfel::CellBox;
 
-use super::run::Shared;
+use super::shared::Shared;
 
 /// Rows of the core of a brick, in Khalimsky order.
 #[derive(Debug, Default)]

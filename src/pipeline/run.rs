@@ -1,121 +1,21 @@
 //! Starts the stages, joins them, reports.
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use crossbeam_channel::bounded;
-use rayon::{ThreadPool, ThreadPoolBuilder};
+use rayon::ThreadPoolBuilder;
 
 use crate::error::Error;
-use crate::khalimsky::Adjacency;
-use crate::lattice::Lattice;
-use crate::measure::ball::{BallKernel, Extent, Weights};
 use crate::measure::cells::CellTotals;
-use crate::normal::{Estimator, NormalKernel, Orientation};
 use crate::sink::SurfelSink;
 use crate::volume::SolidCounts;
 
 use super::budget::Budget;
-use super::plan::{Plan, PlanRequest};
+use super::plan::Plan;
 use super::reader::{ReadCounts, Source, read};
+use super::settings::Settings;
+use super::shared::{Progress, Shared};
 use super::stages;
-
-/// What to compute.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Settings {
-    /// The voxel grid.
-    pub lattice: Lattice,
-    /// Which surfels join at a linel shared by four.
-    pub adjacency: Adjacency,
-    /// The normals.
-    pub estimator: Estimator,
-    /// Radii of the balls of the measures, in voxel units.
-    pub radii: Vec<f64>,
-    /// Which part of the surface in a ball is summed.
-    pub extent: Extent,
-    /// How cells at its rim count.
-    pub weights: Weights,
-    /// Whether to give principal directions.
-    pub directions: bool,
-    /// Worker threads.
-    pub threads: usize,
-    /// Memory allowed.
-    pub memory_bytes: u64,
-    /// Edge of bricks, if it is to be fixed.
-    pub brick: Option<i32>,
-}
-
-/// Settings made ready.
-pub(super) struct Kernels {
-    pub(super) normals: NormalKernel,
-    pub(super) balls: Vec<BallKernel>,
-}
-
-impl Settings {
-    /// The default method on a lattice: integral invariant normals and connected, lumped sums at 3
-    /// voxel units, one radius, within 1 GiB, on all processors.
-    #[must_use]
-    pub fn new(lattice: Lattice) -> Self {
-        Self {
-            lattice,
-            adjacency: Adjacency::Interior,
-            estimator: Estimator::IntegralInvariant {
-                radius: 3.0,
-                orientation: Orientation::Moment,
-            },
-            radii: vec![3.0],
-            extent: Extent::Connected,
-            weights: Weights::Lumped,
-            directions: false,
-            threads: std::thread::available_parallelism().map_or(1, usize::from),
-            memory_bytes: 1 << 30,
-            brick: None,
-        }
-    }
-
-    fn kernels(&self) -> Result<Kernels, Error> {
-        let normals = NormalKernel::new(self.estimator, &self.lattice, self.adjacency)?;
-        let balls = self
-            .radii
-            .iter()
-            .map(|&radius| BallKernel::new(radius, self.extent, self.weights, &self.lattice))
-            .collect::<Result<_, _>>()?;
-        Ok(Kernels { normals, balls })
-    }
-
-    /// How a run of these settings would use its memory.
-    ///
-    /// # Errors
-    /// If radii cannot be used or the memory is too small.
-    pub fn plan(&self, voxel_bytes: u64, buffered: bool, sink_bytes: u64) -> Result<Plan, Error> {
-        let kernels = self.kernels()?;
-        Ok(Plan::new(&PlanRequest {
-            lattice: &self.lattice,
-            normals: &kernels.normals,
-            balls: &kernels.balls,
-            directions: self.directions,
-            memory_bytes: self.memory_bytes,
-            sink_bytes,
-            threads: self.threads,
-            brick: self.brick,
-            voxel_bytes,
-            buffered,
-        })?)
-    }
-}
-
-/// How far a run is; read it from any thread.
-#[derive(Debug, Default)]
-pub struct Progress {
-    /// Planes read and packed.
-    pub planes_read: AtomicU64,
-    /// Surfels found.
-    pub surfels_found: AtomicU64,
-    /// Planes whose rows were handed to the sinks.
-    pub planes_done: AtomicU64,
-    /// Rows handed to the sinks.
-    pub rows_done: AtomicU64,
-}
 
 /// What a run found, beside the rows.
 #[derive(Clone, Debug, Default)]
@@ -126,31 +26,6 @@ pub struct Outcome {
     pub solid: SolidCounts,
     /// What the reader learned.
     pub read: ReadCounts,
-}
-
-/// What all stages share.
-pub(super) struct Shared<'a> {
-    pub(super) settings: &'a Settings,
-    pub(super) lattice: &'a Lattice,
-    pub(super) kernels: &'a Kernels,
-    pub(super) plan: &'a Plan,
-    pub(super) pool: &'a ThreadPool,
-    pub(super) budget: &'a Arc<Budget>,
-    pub(super) progress: &'a Progress,
-    /// Set from outside to stop the run.
-    stop: &'a AtomicBool,
-    /// Set by a stage that failed, so that stages that wait for memory wake up.
-    failed: &'a AtomicBool,
-}
-
-impl Shared<'_> {
-    /// Whether the run is to end early. Raises the flag that wakes stages that wait.
-    pub(super) fn stopped(&self) -> bool {
-        if self.stop.load(Ordering::Relaxed) {
-            self.failed.store(true, Ordering::Relaxed);
-        }
-        self.failed.load(Ordering::Relaxed)
-    }
 }
 
 /// Runs the pipeline to its end: every row goes to every sink, in order, and the sinks finish.

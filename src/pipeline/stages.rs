@@ -20,7 +20,7 @@ use crate::volume::{BitBox, BitPlane, PlaneWindow, SolidCounts};
 
 use super::budget::Grant;
 use super::rows::{self, BrickRows};
-use super::run::Shared;
+use super::shared::Shared;
 
 /// Surfels of a brick and their normals.
 #[derive(Debug)]

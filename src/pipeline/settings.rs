@@ -1,0 +1,93 @@
+//! What to compute, and the kernels made ready for it.
+
+use crate::error::Error;
+use crate::khalimsky::Adjacency;
+use crate::lattice::Lattice;
+use crate::measure::ball::{BallKernel, Extent, Weights};
+use crate::normal::{Estimator, NormalKernel, Orientation};
+
+use super::plan::{Plan, PlanRequest};
+
+/// What to compute.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Settings {
+    /// The voxel grid.
+    pub lattice: Lattice,
+    /// Which surfels join at a linel shared by four.
+    pub adjacency: Adjacency,
+    /// The normals.
+    pub estimator: Estimator,
+    /// Radii of the balls of the measures, in voxel units.
+    pub radii: Vec<f64>,
+    /// Which part of the surface in a ball is summed.
+    pub extent: Extent,
+    /// How cells at its rim count.
+    pub weights: Weights,
+    /// Whether to give principal directions.
+    pub directions: bool,
+    /// Worker threads.
+    pub threads: usize,
+    /// Memory allowed.
+    pub memory_bytes: u64,
+    /// Edge of bricks, if it is to be fixed.
+    pub brick: Option<i32>,
+}
+
+/// Settings made ready.
+pub(super) struct Kernels {
+    pub(super) normals: NormalKernel,
+    pub(super) balls: Vec<BallKernel>,
+}
+
+impl Settings {
+    /// The default method on a lattice: integral invariant normals and connected, lumped sums at 3
+    /// voxel units, one radius, within 1 GiB, on all processors.
+    #[must_use]
+    pub fn new(lattice: Lattice) -> Self {
+        Self {
+            lattice,
+            adjacency: Adjacency::Interior,
+            estimator: Estimator::IntegralInvariant {
+                radius: 3.0,
+                orientation: Orientation::Moment,
+            },
+            radii: vec![3.0],
+            extent: Extent::Connected,
+            weights: Weights::Lumped,
+            directions: false,
+            threads: std::thread::available_parallelism().map_or(1, usize::from),
+            memory_bytes: 1 << 30,
+            brick: None,
+        }
+    }
+
+    pub(super) fn kernels(&self) -> Result<Kernels, Error> {
+        let normals = NormalKernel::new(self.estimator, &self.lattice, self.adjacency)?;
+        let balls = self
+            .radii
+            .iter()
+            .map(|&radius| BallKernel::new(radius, self.extent, self.weights, &self.lattice))
+            .collect::<Result<_, _>>()?;
+        Ok(Kernels { normals, balls })
+    }
+
+    /// How a run of these settings would use its memory.
+    ///
+    /// # Errors
+    /// If radii cannot be used or the memory is too small.
+    pub fn plan(&self, voxel_bytes: u64, buffered: bool, sink_bytes: u64) -> Result<Plan, Error> {
+        let kernels = self.kernels()?;
+        Ok(Plan::new(&PlanRequest {
+            lattice: &self.lattice,
+            normals: &kernels.normals,
+            balls: &kernels.balls,
+            directions: self.directions,
+            memory_bytes: self.memory_bytes,
+            sink_bytes,
+            threads: self.threads,
+            brick: self.brick,
+            voxel_bytes,
+            buffered,
+        })?)
+    }
+}

@@ -1,0 +1,50 @@
+//! What the stages of a run share: settings, the pool, the budget, progress and the stop flags.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+
+use rayon::ThreadPool;
+
+use crate::lattice::Lattice;
+
+use super::budget::Budget;
+use super::plan::Plan;
+use super::settings::{Kernels, Settings};
+
+/// How far a run is; read it from any thread.
+#[derive(Debug, Default)]
+pub struct Progress {
+    /// Planes read and packed.
+    pub planes_read: AtomicU64,
+    /// Surfels found.
+    pub surfels_found: AtomicU64,
+    /// Planes whose rows were handed to the sinks.
+    pub planes_done: AtomicU64,
+    /// Rows handed to the sinks.
+    pub rows_done: AtomicU64,
+}
+
+/// What all stages share.
+pub(super) struct Shared<'a> {
+    pub(super) settings: &'a Settings,
+    pub(super) lattice: &'a Lattice,
+    pub(super) kernels: &'a Kernels,
+    pub(super) plan: &'a Plan,
+    pub(super) pool: &'a ThreadPool,
+    pub(super) budget: &'a Arc<Budget>,
+    pub(super) progress: &'a Progress,
+    /// Set from outside to stop the run.
+    pub(super) stop: &'a AtomicBool,
+    /// Set by a stage that failed, so that stages that wait for memory wake up.
+    pub(super) failed: &'a AtomicBool,
+}
+
+impl Shared<'_> {
+    /// Whether the run is to end early. Raises the flag that wakes stages that wait.
+    pub(super) fn stopped(&self) -> bool {
+        if self.stop.load(Ordering::Relaxed) {
+            self.failed.store(true, Ordering::Relaxed);
+        }
+        self.failed.load(Ordering::Relaxed)
+    }
+}
