@@ -87,7 +87,8 @@ impl fmt::Display for LatticeError {
             LatticeError::Ball { radius, largest } => write!(
                 f,
                 "a ball of measures of radius {radius} voxels holds too many voxels of this \
-                 shape, expected at most {largest:.2}; resample the image to larger voxels"
+                 shape, expected at most {largest:.2}; take a smaller radius, or \
+                 resample the image to larger voxels"
             ),
             LatticeError::Radius(radius) => write!(
                 f,

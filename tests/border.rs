@@ -6,7 +6,7 @@ use curvox::pipeline::Settings;
 use curvox::sink::Flag;
 use curvox_tools::plain::Solid;
 
-use crate::common::{blob, lattice, piped};
+use crate::common::{lattice, piped};
 
 /// The voxels from plane `x` on.
 fn cropped(solid: &Solid, x: i32) -> Solid {
@@ -16,7 +16,12 @@ fn cropped(solid: &Solid, x: i32) -> Solid {
 
 #[test]
 fn rows_without_the_border_flag_do_not_depend_on_the_crop() {
-    let solid = blob([46, 34, 34], 21);
+    // A wavy rod along x beside a ball: whatever goes on beyond the crop meets it squarely.
+    let solid = Solid::from_fn([60, 40, 34], |[x, y, z]| {
+        let rod = 7.0 + 1.5 * (f64::from(x) / 5.0).sin();
+        let ball = [x - 44, y - 31, z - 16].map(|d| d * d).iter().sum::<i32>() <= 36;
+        f64::from(y - 14).hypot(f64::from(z - 16)) <= rod || ball
+    });
     let crop = 17;
     let ii = |radius| Estimator::IntegralInvariant {
         radius,
@@ -65,4 +70,21 @@ fn rows_without_the_border_flag_do_not_depend_on_the_crop() {
             }
         }
     }
+}
+
+#[test]
+fn a_solid_clear_of_the_border_has_no_row_flagged() {
+    let solid = Solid::from_fn([17, 18, 19], |p| {
+        p.map(|x| (x - 8) * (x - 8)).iter().sum::<i32>() <= 49
+    });
+    let open = Settings::new(lattice(&solid, [1.0; 3], false));
+    let closed = Settings::new(lattice(&solid, [1.0; 3], true));
+    let ((open, _), (closed, _)) = (piped(&solid, &open), piped(&solid, &closed));
+    assert!(
+        open.curvatures[0]
+            .flags
+            .iter()
+            .all(|f| f & Flag::Border.bit() == 0)
+    );
+    assert_eq!(open.curvatures, closed.curvatures);
 }

@@ -166,6 +166,10 @@ impl Running {
 /// The most memory a process held resident so far, where the system tells.
 fn peak_bytes(process: u32) -> Option<u64> {
     let status = std::fs::read_to_string(format!("/proc/{process}/status")).ok()?;
+    // Until it has become the command, the new process shows the memory of this one.
+    if status.lines().next() != Some("Name:\tcurvox") {
+        return None;
+    }
     let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"))?;
     let kibibytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
     Some(kibibytes << 10)

@@ -176,7 +176,7 @@ fn check_parts(output: &Path) -> u64 {
         let file = File::open(folder.join(name)).unwrap();
         let reader = SerializedFileReader::new(file).unwrap();
         let rows = reader.get_row_iter(None).unwrap();
-        let rows = rows.map(|row| row.unwrap()).count() as u64;
+        let rows = rows.inspect(|row| assert!(row.is_ok())).count() as u64;
         assert_eq!(Some(rows), part["rows"].as_u64());
         sum += rows;
     }

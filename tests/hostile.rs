@@ -406,8 +406,8 @@ fn the_same_volume_in_other_formats_gives_the_same_rows() {
         ("gm-mask", "128", "2mm"),
     ] {
         let reference = format!("{set}/ref.npy");
-        let entries = manifest.iter().filter(|e| e["path"] == reference);
-        let voxels = &entries.last().unwrap()["canonical_sha256"];
+        let entry = manifest.iter().find(|e| e["path"] == reference).unwrap();
+        let voxels = &entry["canonical_sha256"];
         let same = manifest.iter().filter(|e| {
             let path = e["path"].as_str().unwrap();
             path.starts_with(set) && e["canonical_sha256"] == *voxels

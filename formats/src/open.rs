@@ -535,7 +535,19 @@ fn raw_bytes(options: &OpenOptions) -> Option<u64> {
 fn parse(input: &mut Input, context: &Context<'_>) -> Result<Parsed, Error> {
     let format = match (context.options.format, &context.options.raw) {
         (Some(format), _) => format,
-        (None, Some(_)) => Format::Raw,
+        // A layout given for a file that has its own would read the header as voxels.
+        (None, Some(_)) => match detect(input, context) {
+            Ok(found) => {
+                return Err(Error::unsupported(
+                    context.name,
+                    format!(
+                        "the content is {found}, which says its own dimensions and type: leave \
+                         out the raw layout, or ask for format raw to read it as bare voxels"
+                    ),
+                ));
+            }
+            Err(_) => Format::Raw,
+        },
         (None, None) => detect(input, context)?,
     };
     let parsed = match format {

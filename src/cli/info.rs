@@ -208,17 +208,19 @@ fn lines<'a>(fields: impl Iterator<Item = (&'a str, &'a Value)>, indent: usize, 
                 let names: Vec<_> = items.iter().filter_map(|c| c["name"].as_str()).collect();
                 writeln!(out, "{pad}{name:<18} {}", names.join(" "))
             }
-            Value::Array(items) if name == "radii" => items.iter().try_for_each(|radius| {
-                let text = |field: &str| radius[field].to_string();
-                writeln!(
-                    out,
-                    "{pad}{:<18} {} = {} voxels = {} in the world",
-                    "radius",
-                    radius["label"].as_str().unwrap_or_default(),
-                    text("voxels"),
-                    text("world")
-                )
-            }),
+            Value::Array(items) if name == "radii" && items.iter().all(Value::is_object) => {
+                items.iter().try_for_each(|radius| {
+                    let text = |field: &str| radius[field].to_string();
+                    writeln!(
+                        out,
+                        "{pad}{:<18} {} = {} voxels = {} in the world",
+                        "radius",
+                        radius["label"].as_str().unwrap_or_default(),
+                        text("voxels"),
+                        text("world")
+                    )
+                })
+            }
             Value::Array(items) if items.iter().all(Value::is_string) => {
                 let texts = items.iter().filter_map(Value::as_str);
                 texts

@@ -27,7 +27,7 @@ pub(crate) struct MethodArgs {
     )]
     radius: Vec<Length>,
 
-    /// Radius of the ball the normals are estimated in [default: 3vx]
+    /// Radius of the ball the normals are estimated in [default: the smallest --radius]
     #[arg(long, value_name = "LENGTH", help_heading = "Method")]
     normal_radius: Option<Length>,
 
@@ -209,11 +209,18 @@ impl MethodArgs {
             radii.push(RadiusInfo {
                 label: length.to_string(),
                 voxels,
-                world: voxels * unit,
+                world: rounded(voxels * unit),
             });
         }
-        let default = Length::voxels(3);
-        let normal_length = self.normal_radius.as_ref().unwrap_or(&default);
+        // Normals decide the accuracy as much as sums do: the paper takes one radius for both.
+        let smallest = (1..radii.len()).fold(0, |best, i| {
+            if radii[i].voxels < radii[best].voxels {
+                i
+            } else {
+                best
+            }
+        });
+        let normal_length = self.normal_radius.as_ref().unwrap_or(&asked[smallest]);
         let normal_radius = if normals == Normals::Trivial {
             if self.normal_radius.is_some() {
                 return Err(usage("--normal-radius has no use with --normals trivial"));
@@ -279,4 +286,8 @@ impl ResolvedMethod {
         parameters["inside"] = json!(criterion.to_string());
         parameters
     }
+}
+/// A length for print, without the noise of its last digits.
+fn rounded(x: f64) -> f64 {
+    format!("{x:.12e}").parse().unwrap_or(x)
 }

@@ -162,7 +162,7 @@ fn advice(exact: &ExactTotals, radii: &[RadiusSummary]) -> Vec<String> {
     }
     if exact.surfels == 0 {
         advice.push(if exact.inside_voxels == 0 {
-            "the surface is empty: no voxel is inside; check the threshold".into()
+            "the surface is empty: no voxel is inside; check the threshold, range or label".into()
         } else {
             "the surface is empty: every voxel is inside; check the threshold".into()
         });
@@ -189,11 +189,12 @@ fn advice(exact: &ExactTotals, radii: &[RadiusSummary]) -> Vec<String> {
         }
     }
     let opposed = radii.first().map_or(0, |r| flagged(r, "normal_opposed"));
-    if opposed > 0 {
+    // A few surfels at a corner are no reason to doubt a run.
+    if share(opposed) > 1e-3 {
         advice.push(format!(
             "{opposed} surfels ({:.2} %) have a normal that does not point out of the solid, mostly \
-             on parts thinner than the normal radius; flag `normal_opposed`; on thin parts \
-             `--normals average` does better, on smooth ones `--normals ii`",
+             on parts thinner than the normal radius; flag `normal_opposed`; of the \
+             normals, `average` suits thin parts better and `ii` smooth ones",
             100.0 * share(opposed)
         ));
     }

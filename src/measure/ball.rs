@@ -188,8 +188,6 @@ pub struct BallKernel {
     extent: Extent,
     weights: Weights,
     edges: [f64; 3],
-    /// Extents of an open image, in voxels; none if it is closed.
-    open: Option<[i32; 3]>,
     /// Rows of `wide` around a surfel along x, y, z.
     rows: [Vec<BallRow>; 3],
 }
@@ -259,7 +257,6 @@ impl BallKernel {
             Weights::Sharp | Weights::Lumped => ball,
         };
         let rows = [0, 1, 2].map(|axis| ball_rows(&wide, axis));
-        let open = (!lattice.closed).then(|| lattice.dims.map(|n| n as i32));
         let edges = lattice.edges();
         Ok(Self {
             ball,
@@ -267,7 +264,6 @@ impl BallKernel {
             extent,
             weights,
             edges,
-            open,
             rows,
         })
     }
@@ -368,20 +364,8 @@ impl BallKernel {
             mu2,
             rim,
             several_sheets: in_ball > connected,
-            cut: marks & cut != 0
-                || self.extent == Extent::Whole && self.leaves_image(surface, start),
+            cut: marks & cut != 0,
         }
-    }
-
-    /// Whether the ball around a surfel leaves an open image, so that sheets beyond are missed.
-    fn leaves_image(&self, surface: &Surface, start: usize) -> bool {
-        let k = surface.surfels.khalimsky(start);
-        self.open.is_some_and(|dims| {
-            (0..3).any(|a| {
-                let w = self.wide.half_width(a, 0).unwrap_or(0);
-                k[a] - w < 0 || k[a] + w > 2 * dims[a]
-            })
-        })
     }
 
     /// Runs of surfel numbers that make up the wide ball.

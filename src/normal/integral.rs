@@ -274,21 +274,30 @@ impl IntegralKernel {
         if !lattice.closed {
             for (i, cut) in normals.cut.iter_mut().enumerate() {
                 let surfel = surfels.oriented(i);
-                *cut = touches_border(surfel, lattice) || self.is_cut(surfel, lattice);
+                *cut = touches_border(surfel, lattice) || self.is_cut(&bits, surfel, lattice);
             }
         }
         normals
     }
 
-    /// Whether the box around the ball of a surfel leaves the image: what is beyond is unknown,
-    /// and was taken as outside.
-    fn is_cut(&self, surfel: OrientedSurfel, lattice: &Lattice) -> bool {
+    /// Whether the ball of a surfel leaves the image where the solid meets the border (within the
+    /// box around the ball): how it goes on is unknown, and it was taken to end there. A solid
+    /// that stays clear of the border is taken to be all there is.
+    fn is_cut(&self, bits: &BitBox, surfel: OrientedSurfel, lattice: &Lattice) -> bool {
         let reach = self.ball.reach();
         let (p, q) = (surfel.inner, surfel.outer());
-        (0..3).any(|a| {
-            let past = lattice.dims[a] as i32;
-            p[a].min(q[a]) - reach[a] < 0 || p[a].max(q[a]) + reach[a] >= past
-        })
+        let last = lattice.dims.map(|n| n as i32 - 1);
+        let lo = [0, 1, 2].map(|a| p[a].min(q[a]) - reach[a]);
+        let hi = [0, 1, 2].map(|a| p[a].max(q[a]) + reach[a]);
+        let meets = |a: usize, face: i32| {
+            let mut from = lo.map(|x| x.max(0));
+            let mut to = [0, 1, 2].map(|b| hi[b].min(last[b]));
+            (from[a], to[a]) = (face, face);
+            (from[2]..=to[2]).any(|z| {
+                (from[1]..=to[1]).any(|y| (from[0]..=to[0]).any(|x| bits.inside([x, y, z])))
+            })
+        };
+        (0..3).any(|a| lo[a] < 0 && meets(a, 0) || hi[a] > last[a] && meets(a, last[a]))
     }
 }
 

@@ -63,8 +63,8 @@ pub struct Normals {
     /// Whether nothing could be estimated and `u` is the trivial normal.
     pub degenerate: Vec<bool>,
     /// Whether the border of an open image cuts what the normal was estimated from: the surfel
-    /// touches the border, its ball of voxels leaves the image, or its part of the surface meets
-    /// the border.
+    /// touches the border, its ball of voxels leaves the image where the solid meets the border, or
+    /// its part of the surface meets the border.
     pub cut: Vec<bool>,
 }
 

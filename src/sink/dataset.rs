@@ -249,7 +249,19 @@ impl SurfelSink for DatasetSink {
         let columns: Vec<_> = self.columns.keys().copied().collect();
         columns
             .into_iter()
-            .try_for_each(|column| self.close_below(column, self.parts.layers()))
+            .try_for_each(|column| self.close_below(column, self.parts.layers()))?;
+        if self.done.iter().all(|record| record.file.is_none()) {
+            // Without a surfel, one empty part still says which columns and units there would be.
+            let path = self.folder.join(part_name(0));
+            let record = OpenPart::create(path, &self.format, &self.info)?.close(0)?;
+            self.done.retain(|done| done.part != 0);
+            self.done.push(record.clone());
+            if let Some(recorder) = &self.recorder {
+                recorder.forget(0);
+                recorder.part_done(record)?;
+            }
+        }
+        Ok(())
     }
 }
 
