@@ -8,6 +8,7 @@ use clap::{Parser, Subcommand};
 use curvox_tools::accuracy::KnownShape;
 use curvox_tools::agreement::{self, Comparison};
 use curvox_tools::npz::Table;
+use curvox_tools::picture::PictureArgs;
 use curvox_tools::{goursat, vol};
 
 #[derive(Parser)]
@@ -38,6 +39,8 @@ enum Command {
         #[arg(long, value_delimiter = ',', default_value = "1,0.5,0.25")]
         gridsteps: Vec<f64>,
     },
+    /// Draw what a run left as a PNG file: its surfels, or one of its slices
+    Picture(PictureArgs),
 }
 
 fn main() -> Result<()> {
@@ -66,6 +69,7 @@ fn main() -> Result<()> {
                 );
             }
         }
+        Command::Picture(arguments) => arguments.run()?,
         Command::Errors {
             reference,
             gridsteps,
