@@ -34,7 +34,15 @@ pub(crate) fn run(args: &RunArgs, verbose: bool, stop: &AtomicBool) -> Result<()
     let target = job_args.output.target()?;
     let job = job_args.prepare(stop)?;
     refuse_input_as_output(job.volume.source.path.as_deref(), &target)?;
-    tracing::info!(plan = ?job.plan, "planned");
+    let plan = &job.plan;
+    tracing::info!(
+        brick_edge = plan.brick_edge,
+        slab_planes = plan.slab_planes,
+        threads = plan.threads,
+        halo = ?plan.ball_reach,
+        "planned"
+    );
+    tracing::debug!(?plan, "memory in bytes");
     let mut sinks = job_args.output.open(
         &target,
         &job.info,

@@ -136,6 +136,12 @@ pub fn run(
         if stopped {
             return Err(Error::Stopped);
         }
+        tracing::info!(
+            surfels = outcome.cells.surfel_count(),
+            inside_voxels = outcome.solid.voxels,
+            nan_voxels = outcome.read.nan,
+            "all rows written"
+        );
         Ok(outcome)
     })
 }

@@ -213,6 +213,7 @@ pub(super) fn normals(
             .surfels_found
             .fetch_add(surfels, Ordering::Relaxed);
         let planes = window.narrowed(z..end).planes;
+        tracing::debug!(from = z, to = end, surfels, "slab has normals");
         let slab = NormalSlab {
             z: z..end,
             planes,
@@ -376,6 +377,7 @@ pub(super) fn cells(
             measures.push(brick);
         }
         let end = slab.z.end;
+        tracing::debug!(from = z, to = end, "slab has measures");
         if shared.stopped()
             || out
                 .send(MeasureSlab {
@@ -465,6 +467,7 @@ pub(super) fn sums(
                 return Err(Error::Stopped);
             }
         }
+        tracing::debug!(from = z, to = slab.z().end, "slab has curvatures");
         z = slab.z().end;
         window.release_before(z - reach - 1);
     }

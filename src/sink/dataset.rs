@@ -281,6 +281,7 @@ impl OpenPart {
         let (file, bytes, checksum) = output.into_parts();
         file.commit()
             .map_err(|error| error.with_note(PARTS_BEFORE))?;
+        tracing::info!(part, rows, bytes, "part complete");
         let file = Some(part_name(part));
         Ok(PartRecord {
             part,
