@@ -35,12 +35,17 @@ const KEYS: [&str; 14] = [
     "Voxel-Type",
 ];
 
-/// Whether `head` begins like one of these files; which of the two is decided by `parse`.
+/// Whether `head` begins like one of these files, with a line of text `Key: value`; which of the
+/// two is decided by `parse`.
 pub(crate) fn detect(head: &[u8]) -> Option<Format> {
     let colon = head.iter().take(32).position(|b| *b == b':')?;
-    KEYS.iter()
-        .any(|key| key.as_bytes() == &head[..colon])
-        .then_some(Format::Vol)
+    let known = KEYS.iter().any(|key| key.as_bytes() == &head[..colon]);
+    // Of two bytes alone, such as "X:", binary voxels could be the owner.
+    let text = head[colon + 1..]
+        .iter()
+        .take_while(|b| **b != b'\n')
+        .all(|b| b.is_ascii_graphic() || b.is_ascii_whitespace());
+    (known && text && head.len() > colon + 1).then_some(Format::Vol)
 }
 
 /// Longest line and most lines of a header; DGtal stops at 128 bytes and 64 lines.

@@ -313,7 +313,7 @@ fn for_each_value(header: &Header, bytes: &[u8], mut see: impl FnMut(f64)) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use curvox_formats::{DType, OpenOptions, RawLayout, Scaling, Unit, open_stream};
+    use curvox_formats::{DType, Format, OpenOptions, RawLayout, Scaling, Unit, open_stream};
     use proptest::prelude::*;
 
     fn values_of(bytes: Vec<u8>, dtype: DType, scaling: Option<Scaling>) -> Values {
@@ -328,6 +328,8 @@ mod tests {
             };
             let options = OpenOptions {
                 raw: Some(layout),
+                // Random bytes can look like the header of another format.
+                format: Some(Format::Raw),
                 ..OpenOptions::default()
             };
             let reader = std::io::Cursor::new(bytes.clone());
