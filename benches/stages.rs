@@ -8,7 +8,8 @@ use std::sync::Arc;
 use curvox::khalimsky::Adjacency;
 use curvox::lattice::Lattice;
 use curvox::measure::ball::{BallKernel, Extent, LocalMeasures, Weights};
-use curvox::measure::cells::{Keep, evaluate};
+use curvox::measure::cells::{Asked, Keep, evaluate};
+use curvox::measure::field::Field;
 use curvox::measure::surface::Surface;
 use curvox::normal::{Estimator, NormalKernel, Orientation};
 use curvox::shape::{Digitisation, Goursat, Grid};
@@ -30,6 +31,13 @@ struct Scene {
 
 /// Radii in voxels and the gridsteps at which the paper uses them.
 const RADII: [f64; 3] = [3.0, 6.0, 12.0];
+
+/// What of the cells the default method wants.
+const LUMPED: Asked = Asked {
+    field: Field::Constant,
+    keep: Keep::Lumped,
+    quality: false,
+};
 
 fn scene(radius: f64) -> Scene {
     let h = 9.0 / (radius * radius);
@@ -144,6 +152,28 @@ fn normals(bencher: Bencher<'_, '_>, radius: f64, estimator: Estimator) {
 
 #[divan::bench(args = RADII)]
 fn measures_of_cells(bencher: Bencher<'_, '_>, radius: f64) {
+    measures(bencher, radius, LUMPED);
+}
+
+#[divan::bench(args = RADII)]
+fn measures_with_quality(bencher: Bencher<'_, '_>, radius: f64) {
+    let quality = true;
+    measures(bencher, radius, Asked { quality, ..LUMPED });
+}
+
+#[divan::bench(args = RADII)]
+fn measures_of_an_interpolated_field(bencher: Bencher<'_, '_>, radius: f64) {
+    let field = Field::Interpolated;
+    measures(bencher, radius, Asked { field, ..LUMPED });
+}
+
+#[divan::bench(args = RADII)]
+fn measures_of_a_linear_field(bencher: Bencher<'_, '_>, radius: f64) {
+    let field = Field::Linear;
+    measures(bencher, radius, Asked { field, ..LUMPED });
+}
+
+fn measures(bencher: Bencher<'_, '_>, radius: f64, asked: Asked) {
     let Scene {
         window,
         lattice,
@@ -162,7 +192,7 @@ fn measures_of_cells(bencher: Bencher<'_, '_>, radius: f64) {
     let marks = vec![0; surface.len()];
     bencher
         .counter(ItemsCount::new(surface.len()))
-        .bench_local(|| evaluate(&surface, core, lattice.edges(), &u, &marks, Keep::Lumped));
+        .bench_local(|| evaluate(&surface, core, lattice.edges(), &u, &marks, asked));
 }
 
 #[divan::bench(args = RADII)]
@@ -191,7 +221,7 @@ fn sums(bencher: Bencher<'_, '_>, radius: f64, extent: Extent) {
         .map(|s| curvox::normal::trivial_normal(s.orientation));
     let u: Vec<_> = normals.collect();
     let marks = vec![0; surface.len()];
-    let (cells, _) = evaluate(&surface, around, lattice.edges(), &u, &marks, Keep::Lumped);
+    let (cells, _) = evaluate(&surface, around, lattice.edges(), &u, &marks, LUMPED);
     let measures = LocalMeasures::new(&surface, cells);
     let starts: Vec<usize> = (0..surface.len())
         .filter(|&i| core.contains(surface.surfels.oriented(i).cell()))

@@ -78,7 +78,9 @@ impl JobArgs {
         settings.radii = method.radii.iter().map(|r| r.voxels).collect();
         settings.extent = method.extent;
         settings.weights = method.weights;
+        settings.field = method.field;
         settings.directions = method.directions;
+        settings.quality = method.quality;
         settings.memory_bytes = self.resources.memory;
         settings.brick = self.resources.brick;
         if let Some(threads) = self.resources.threads {
@@ -107,6 +109,7 @@ impl JobArgs {
             direction: header.direction,
             radii: method.radii.clone(),
             directions: method.directions,
+            quality: method.quality,
             parameters: method.parameters(criterion),
             version: env!("CARGO_PKG_VERSION").to_owned(),
             conventions: conventions::sentences(self.method.closed),

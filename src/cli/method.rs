@@ -8,6 +8,7 @@ use serde_json::{Value, json};
 use crate::khalimsky::Adjacency;
 use crate::lattice::Lattice;
 use crate::measure::ball::{Extent, Weights};
+use crate::measure::field::Field;
 use crate::normal::{Estimator, Orientation};
 use crate::sink::RadiusInfo;
 use crate::volume::Criterion;
@@ -50,6 +51,23 @@ pub(crate) struct MethodArgs {
         help_heading = "Method"
     )]
     orientation: Option<OrientationRule>,
+
+    /// Normals between surfels: constant (on each), interpolated (between pointels, unit length), linear (not unit) [default: constant]
+    ///
+    /// constant: measures lie on surfels, linels and pointels. interpolated and linear: the normal of a
+    /// pointel is the mean of those of the surfels around it, and is continued over each surfel;
+    /// then all measures lie on surfels, and --weights sharp is the same as lumped.
+    /// interpolated keeps the Gauss-Bonnet theorem exactly; linear is faster and does not.
+    #[arg(
+        long,
+        value_enum,
+        hide_possible_values = true,
+        default_value = "constant",
+        hide_default_value = true,
+        value_name = "NAME",
+        help_heading = "Method"
+    )]
+    field: FieldName,
 
     /// Surface summed: connected (to the surfel within the ball), whole (all of the ball) [default: connected]
     #[arg(
@@ -102,6 +120,20 @@ pub(crate) struct MethodArgs {
     /// Give the principal directions too (columns d1x ... d2z)
     #[arg(long, help_heading = "Method")]
     directions: bool,
+
+    /// Give the quality of the normals too (column quality: mu_Omega / mu0, 0 for the normals of a surface)
+    ///
+    /// In 1/length, to be compared with |mean_curvature|: how fast the normals turn about
+    /// themselves, as those of no surface do. Its sign is that of a sense of rotation, and changes in a mirror.
+    #[arg(long, help_heading = "Method")]
+    quality: bool,
+}
+
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq)]
+enum FieldName {
+    Constant,
+    Interpolated,
+    Linear,
 }
 
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq)]
@@ -149,7 +181,9 @@ pub(crate) struct ResolvedMethod {
     pub(crate) extent: Extent,
     pub(crate) weights: Weights,
     pub(crate) adjacency: Adjacency,
+    pub(crate) field: Field,
     pub(crate) directions: bool,
+    pub(crate) quality: bool,
     pub(crate) radii: Vec<RadiusInfo>,
     /// The radius of the normals in voxel units, if they have one.
     pub(crate) normal_radius: Option<f64>,
@@ -242,12 +276,14 @@ impl MethodArgs {
         };
         let mut parameters = json!({
             "normals": name_of(normals),
+            "field": name_of(self.field),
             "radii": asked.iter().map(ToString::to_string).collect::<Vec<_>>(),
             "ball": name_of(ball),
             "weights": name_of(weights),
             "adjacency": name_of(self.adjacency),
             "closed": self.closed,
             "directions": self.directions,
+            "quality": self.quality,
         });
         if let Some(radius) = normal_radius {
             parameters["normal_radius"] = json!(normal_length.to_string());
@@ -271,7 +307,13 @@ impl MethodArgs {
                 AdjacencyName::Interior => Adjacency::Interior,
                 AdjacencyName::Exterior => Adjacency::Exterior,
             },
+            field: match self.field {
+                FieldName::Constant => Field::Constant,
+                FieldName::Interpolated => Field::Interpolated,
+                FieldName::Linear => Field::Linear,
+            },
             directions: self.directions,
+            quality: self.quality,
             radii,
             normal_radius,
             parameters,

@@ -32,11 +32,11 @@ const SAMPLES: u64 = 16;
 const SAMPLE_BYTES: u64 = 64 << 20;
 
 /// Bytes of a Parquet row, seen on scans: what does not depend on the radius, and for each radius
-/// without and with directions.
-const PARQUET_ROW: [u64; 3] = [19, 17, 41];
+/// without and with directions, and what the quality adds.
+const PARQUET_ROW: [u64; 4] = [19, 17, 41, 4];
 
 /// The same for CSV.
-const CSV_ROW: [u64; 3] = [73, 50, 115];
+const CSV_ROW: [u64; 4] = [73, 50, 115, 13];
 
 /// Tells the plan.
 pub(crate) fn run(args: &PlanArgs, stop: &AtomicBool) -> Result<()> {
@@ -120,8 +120,9 @@ fn surfels_of(bytes: &[u8], row_bytes: usize, ny: usize, nx: usize, binarizer: &
     found
 }
 
-fn row_bytes(job: &Job, [fixed, plain, directed]: [u64; 3]) -> u64 {
-    let each = if job.info.directions { directed } else { plain };
+fn row_bytes(job: &Job, [fixed, plain, directed, quality]: [u64; 4]) -> u64 {
+    let each = if job.info.directions { directed } else { plain }
+        + if job.info.quality { quality } else { 0 };
     fixed + each * job.info.radii.len() as u64
 }
 

@@ -5,6 +5,7 @@ use std::fmt::Write;
 use serde_json::{Value, json};
 
 use crate::lattice::Lattice;
+use crate::measure::field::Field;
 use crate::measure::fixed;
 use crate::pipeline::Outcome;
 use crate::sink::{ExactTotals, RadiusSummary, RunFacts, Summary, SummarySink};
@@ -25,6 +26,8 @@ pub(crate) struct Facts {
     pub(crate) otsu: Option<f64>,
     input: Value,
     warnings: Vec<String>,
+    /// Whether Gauss-Bonnet is a theorem for the field of the run.
+    gauss_bonnet: bool,
     /// The name in front of the format's warnings, which the summary must not depend on.
     name: String,
 }
@@ -76,6 +79,7 @@ impl Facts {
                 "threshold_by_otsu": job.otsu.is_some(),
             }),
             warnings,
+            gauss_bonnet: job.settings.field != Field::Linear,
             name,
         }
     }
@@ -95,7 +99,10 @@ impl Facts {
                 .iter()
                 .map(|w| without_name(w, &self.name)),
         );
-        let exact = exact_totals(lattice, outcome);
+        let mut exact = exact_totals(lattice, outcome);
+        if !self.gauss_bonnet {
+            exact.euler_gauss_bonnet = None;
+        }
         let summary = rows.summary(RunFacts::default());
         warnings.extend(advice(&exact, &summary.radii));
         RunFacts {
@@ -200,7 +207,7 @@ fn advice(exact: &ExactTotals, radii: &[RadiusSummary]) -> Vec<String> {
     }
     if exact.sum_abs_k > 0 {
         advice.push(format!(
-            "the normals wind more than a hemisphere around pointels, sum |k| = {} ({:.3} % of \
+            "the normals wind more than a hemisphere, sum |k| = {} ({:.3} % of \
              {} pointels): G is not reliable at the rows flagged `lifted`",
             exact.sum_abs_k,
             100.0 * exact.sum_abs_k as f64 / exact.pointels as f64,
@@ -277,6 +284,19 @@ impl Report {
                 "Euler      V - E + F = {}, {open}",
                 exact.euler_counted
             )?;
+            match exact.euler_gauss_bonnet {
+                Some(chi) => writeln!(
+                    out,
+                    "lifts      sum|k| = {}, Gauss-Bonnet gives {chi}",
+                    exact.sum_abs_k
+                )?,
+                None if self.summary.parameters["field"] == "linear" => writeln!(
+                    out,
+                    "integral G {} (a linear field has no Gauss-Bonnet theorem)",
+                    number(exact.mu2)
+                )?,
+                None => writeln!(out, "lifts      sum|k| = {}", exact.sum_abs_k)?,
+            }
         }
         let mean = |value: Option<f64>| value.map_or("none".into(), number);
         for radius in &summary.radii {
@@ -287,6 +307,13 @@ impl Report {
                 mean(radius.mean_curvature.mean),
                 mean(radius.gaussian_curvature.mean),
             )?;
+            if let Some(quality) = radius.quality_rms {
+                writeln!(
+                    out,
+                    "  quality  {} 1/{unit} (root mean square; 0 for the normals of a surface)",
+                    number(quality)
+                )?;
+            }
             let flags: Vec<String> = radius
                 .flags
                 .iter()

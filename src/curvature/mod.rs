@@ -9,6 +9,11 @@
 //! out. k1 + k2 is not exactly 2 H, since M may have a part along `u`; the difference is reported
 //! with the totals.
 //!
+//! **Quality of u.** mu_Omega / mu0 is minus the circulation of `u` around the set, counter-clockwise seen
+//! from outside, per area: zero if `u` is the normal field of a surface (paper, Remark 3.3). A mirror
+//! changes its sign. It compares with H: it is the rate at which `u` turns about itself rather
+//! than bends with a surface.
+//!
 //! Guaranteed: k1 <= k2; directions are unit vectors, up to sign. Not guaranteed: a meaning of the
 //! directions at umbilics, where k1 = k2.
 
@@ -36,6 +41,8 @@ pub struct Curvature {
     pub d1: DVec3,
     /// Direction of `k2`, in image axes.
     pub d2: DVec3,
+    /// mu_Omega / mu0; 0 unless mu_Omega was evaluated.
+    pub quality: f64,
 }
 
 impl Curvature {
@@ -63,6 +70,7 @@ impl Curvature {
             k2: principal.values[second] * per_length,
             d1: principal.vectors[first],
             d2: principal.vectors[second],
+            quality: sums.omega / sums.mu0 * per_length,
         })
     }
 }

@@ -16,6 +16,9 @@
 //! | `Lumped` | 1 if in the set | 1/2 for each of its surfels that is | 1/d for each of its d surfels that is |
 //! | `Dgtal` | share of its extent in the ball | the same, by its ends and middle | 1 if in the ball |
 //!
+//! With a continuous field ([`super::field`]) all measures lie on surfels: `Sharp` is then the same as
+//! `Lumped`, and `Dgtal` takes a surfel's share of all its measures. mu_Omega is summed if it was evaluated.
+//!
 //! Guaranteed: sums are of integers, so exact; which cells take part is decided in integers
 //! (except with `Dgtal`, whose shares, rounded to 2^-48 each, and pointels go by distances in
 //! floating point). `Sharp` counts fewer linels
@@ -64,6 +67,8 @@ pub struct BallSums {
     pub tensor: Symmetric,
     /// Sum of mu2, a solid angle.
     pub mu2: f64,
+    /// Sum of mu_Omega, a length; 0 unless it was evaluated.
+    pub omega: f64,
     /// How C(p) ends.
     pub rim: Rim,
     /// The ball holds surfels that are not connected to this one within it.
@@ -77,6 +82,8 @@ pub struct BallSums {
 pub struct LocalMeasures {
     marks: Vec<u8>,
     lumped: Vec<Lumped>,
+    /// mu_Omega lumped on surfels, if it was evaluated.
+    omega: Vec<i64>,
     cells: Option<Box<LocalCells>>,
 }
 
@@ -86,6 +93,8 @@ struct LocalCells {
     mu0: Vec<i64>,
     linels: Vec<Tensor>,
     umbrellas: Vec<i64>,
+    /// mu_Omega of each linel, if it was evaluated.
+    omega: Vec<i64>,
     degree: Vec<u8>,
     linel_of: Vec<[u32; 4]>,
     umbrella_of: Vec<[u32; 4]>,
@@ -107,6 +116,7 @@ impl LocalMeasures {
             return Self {
                 marks: gathered.marks,
                 lumped: gathered.lumped,
+                omega: gathered.omega,
                 cells: None,
             };
         }
@@ -115,6 +125,7 @@ impl LocalMeasures {
         Self {
             marks,
             lumped: Vec::new(),
+            omega: Vec::new(),
             cells,
         }
     }
@@ -162,6 +173,7 @@ impl LocalCells {
             mu0: gathered.mu0,
             linels: gathered.linels,
             umbrellas: gathered.umbrellas,
+            omega: gathered.omega,
             degree,
             linel_of,
             umbrella_of,
@@ -347,21 +359,24 @@ impl BallKernel {
                 }
             });
         }
-        // A sharp sum has only linels and pointels whose surfels all belong.
-        let cut = match self.weights {
-            Weights::Sharp => mark::CUT,
-            Weights::Lumped | Weights::Dgtal => mark::NEAR_CUT,
+        // A sharp sum of cells has only linels and pointels whose surfels all belong.
+        let cut = match (self.weights, &measures.cells) {
+            (Weights::Sharp, Some(_)) => mark::CUT,
+            _ => mark::NEAR_CUT,
         };
-        let (mu0, tensor, mu2) = match (self.weights, &measures.cells) {
-            (Weights::Lumped, _) => self.sum_lumped(surface, measures, start, scratch),
+        let summed = match (self.weights, &measures.cells) {
             (Weights::Sharp, Some(cells)) => self.sum_sharp(surface, cells, start, scratch),
             (Weights::Dgtal, Some(cells)) => self.sum_dgtal(surface, cells, start, scratch),
-            (Weights::Sharp | Weights::Dgtal, None) => unreachable!("measures are kept by cells"),
+            (Weights::Dgtal, None) => self.sum_shares(surface, measures, start, scratch),
+            (Weights::Lumped, _) | (Weights::Sharp, None) => {
+                self.sum_lumped(surface, measures, start, scratch)
+            }
         };
         BallSums {
-            mu0,
-            tensor,
-            mu2,
+            mu0: summed.mu0,
+            tensor: summed.tensor,
+            mu2: summed.mu2,
+            omega: summed.omega,
             rim,
             several_sheets: in_ball > connected,
             cut: marks & cut != 0,
@@ -406,7 +421,7 @@ impl BallKernel {
         measures: &LocalMeasures,
         start: usize,
         scratch: &BallScratch,
-    ) -> (f64, Symmetric, f64) {
+    ) -> Summed {
         let mut sums: Lumped = [0; 8];
         let mut add = |lump: &Lumped| {
             for (sum, x) in sums.iter_mut().zip(lump) {
@@ -425,12 +440,26 @@ impl BallKernel {
                 measures.lumped[range].iter().for_each(&mut add);
             }),
         }
+        let mut omega = 0;
+        if !measures.omega.is_empty() {
+            match self.extent {
+                Extent::Connected => {
+                    for &q in scratch.walker.part() {
+                        omega += measures.omega[q as usize];
+                    }
+                }
+                Extent::Whole => self.for_each_run(surface, start, |range| {
+                    omega += measures.omega[range].iter().sum::<i64>();
+                }),
+            }
+        }
         let x = sums.map(|s| s as f64);
-        (
-            x[0] / fixed::ONE,
-            Symmetric::from_terms([1, 2, 3, 4, 5, 6].map(|t| x[t] / fixed::ONE)),
-            x[7] * fixed::LUMPED_SOLID_ANGLE,
-        )
+        Summed {
+            mu0: x[0] / fixed::ONE,
+            tensor: Symmetric::from_terms([1, 2, 3, 4, 5, 6].map(|t| x[t] / fixed::ONE)),
+            mu2: x[7] * fixed::LUMPED_SOLID_ANGLE,
+            omega: omega as f64 / fixed::ONE,
+        }
     }
 
     fn sum_sharp(
@@ -439,7 +468,7 @@ impl BallKernel {
         cells: &LocalCells,
         start: usize,
         scratch: &mut BallScratch,
-    ) -> (f64, Symmetric, f64) {
+    ) -> Summed {
         scratch.begin(cells);
         let BallScratch {
             walker,
@@ -455,7 +484,7 @@ impl BallKernel {
                 let linel = cells.linel_of[i][j];
                 if linel != NONE {
                     if linel_seen[linel as usize] == *epoch {
-                        sums.add_tensor(&cells.linels[linel as usize], 1);
+                        sums.add_linel(cells, linel as usize, 1);
                     } else {
                         linel_seen[linel as usize] = *epoch;
                     }
@@ -487,7 +516,7 @@ impl BallKernel {
         cells: &LocalCells,
         start: usize,
         scratch: &mut BallScratch,
-    ) -> (f64, Symmetric, f64) {
+    ) -> Summed {
         scratch.begin(cells);
         let centre = surface.surfels.list[start].k;
         let BallScratch {
@@ -496,7 +525,6 @@ impl BallKernel {
             umbrella_seen,
             epoch,
         } = scratch;
-        let share = |i: usize| self.surfel_share(surface, i, centre);
         let mut sums = WideSums::default();
         let mut add = |i: usize, share: i128| {
             sums.mu0 += share * i128::from(cells.mu0[i]);
@@ -506,7 +534,7 @@ impl BallKernel {
                 if linel != NONE && linel_seen[linel as usize] != *epoch {
                     linel_seen[linel as usize] = *epoch;
                     let share = self.linel_share(surfel, j, centre);
-                    sums.add_tensor(&cells.linels[linel as usize], share);
+                    sums.add_linel(cells, linel as usize, share);
                 }
                 let pointel = cells.umbrella_of[i][j];
                 if pointel != NONE && umbrella_seen[pointel as usize].0 != *epoch {
@@ -518,26 +546,59 @@ impl BallKernel {
                 }
             }
         };
+        self.for_each_share(surface, start, walker, &mut add);
+        sums.to_measures(SHARE_ONE)
+    }
+
+    /// DGtal's weights where all measures lie on surfels.
+    fn sum_shares(
+        &self,
+        surface: &Surface,
+        measures: &LocalMeasures,
+        start: usize,
+        scratch: &mut BallScratch,
+    ) -> Summed {
+        let mut sums = WideSums::default();
+        self.for_each_share(surface, start, &mut scratch.walker, &mut |i, share| {
+            let lump = &measures.lumped[i];
+            sums.mu0 += share * i128::from(lump[0]);
+            for (sum, x) in sums.tensor.iter_mut().zip(&lump[1..7]) {
+                *sum += share * i128::from(*x);
+            }
+            sums.mu2 += share * i128::from(lump[7]);
+            sums.omega += share * i128::from(measures.omega.get(i).copied().unwrap_or(0));
+        });
+        let mut summed = sums.to_measures(SHARE_ONE);
+        summed.mu2 = sums.mu2 as f64 / SHARE_ONE * fixed::LUMPED_SOLID_ANGLE;
+        summed
+    }
+
+    /// Calls `add` with each surfel that takes part and its share.
+    fn for_each_share(
+        &self,
+        surface: &Surface,
+        start: usize,
+        walker: &mut Walker,
+        add: &mut impl FnMut(usize, i128),
+    ) {
+        let centre = surface.surfels.list[start].k;
+        let mut belongs = |i: usize| {
+            let share = self.surfel_share(surface, i, centre);
+            if share > 0 {
+                add(i, share);
+            }
+            share > 0
+        };
         match self.extent {
             Extent::Connected => {
-                walker.walk_where(&surface.links, surface.len(), start, |i| {
-                    let share = share(i);
-                    if share > 0 {
-                        add(i, share);
-                    }
-                    share > 0
-                });
+                walker.walk_where(&surface.links, surface.len(), start, belongs);
             }
             Extent::Whole => self.for_each_run(surface, start, |range| {
                 for i in range {
-                    let share = share(i);
-                    if share > 0 {
-                        add(i, share);
-                    }
+                    belongs(i);
                 }
             }),
         }
-        sums.to_measures(SHARE_ONE)
     }
 
     /// Distance of two places in Khalimsky coordinates, in voxel units.
@@ -600,22 +661,35 @@ struct WideSums {
     mu0: i128,
     tensor: [i128; 6],
     mu2: i128,
+    omega: i128,
+}
+
+/// The sums of a ball as numbers, in voxel units.
+struct Summed {
+    mu0: f64,
+    tensor: Symmetric,
+    mu2: f64,
+    omega: f64,
 }
 
 impl WideSums {
-    fn add_tensor(&mut self, tensor: &Tensor, share: i128) {
-        for (sum, x) in self.tensor.iter_mut().zip(tensor) {
+    fn add_linel(&mut self, cells: &LocalCells, linel: usize, share: i128) {
+        for (sum, x) in self.tensor.iter_mut().zip(&cells.linels[linel]) {
             *sum += share * i128::from(*x);
+        }
+        if let Some(&omega) = cells.omega.get(linel) {
+            self.omega += share * i128::from(omega);
         }
     }
 
-    /// As numbers; `one` is what a share of 1 was multiplied by, in mu0 and the tensor.
-    fn to_measures(&self, one: f64) -> (f64, Symmetric, f64) {
-        (
-            fixed::to_measure(self.mu0) / one,
-            Symmetric::from_terms(self.tensor.map(|t| fixed::to_measure(t) / one)),
-            fixed::to_solid_angle(self.mu2),
-        )
+    /// As numbers; `one` is what a share of 1 was multiplied by, but for mu2 of pointels.
+    fn to_measures(&self, one: f64) -> Summed {
+        Summed {
+            mu0: fixed::to_measure(self.mu0) / one,
+            tensor: Symmetric::from_terms(self.tensor.map(|t| fixed::to_measure(t) / one)),
+            mu2: fixed::to_solid_angle(self.mu2),
+            omega: fixed::to_measure(self.omega) / one,
+        }
     }
 }
 

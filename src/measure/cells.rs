@@ -5,6 +5,9 @@
 //! cell, with each linel and umbrella kept by its *owner*, the surfel of the lowest number among
 //! those that share it; and [`CellTotals`], exact integers, each cell counted by its owner.
 //!
+//! This is for `u` constant on surfels; with a continuous field all measures lie on surfels ([`super::field`]).
+//! mu_Omega is evaluated if asked for ([`Asked::quality`]); on a closed surface its integers sum to zero.
+//!
 //! A linel or umbrella shared by bricks is evaluated by each of them, from the same numbers in the
 //! same order, so with the same bits; everything else is evaluated once.
 //!
@@ -21,12 +24,14 @@ use crate::khalimsky::{SIDES, axis, sign};
 use crate::normal::trivial_normal;
 use crate::surfel::{CellBox, Link};
 
+use super::field::Field;
 use super::fixed;
 use super::formula::{linel_tensor, swept_area};
 use super::surface::Surface;
 
 /// Measures that a surfel carries when linels and pointels are lumped on it: mu0, the six terms of
-/// the tensor (xx yy zz xy xz yz) of half of each of its linels, and its shares of mu2.
+/// the tensor (xx yy zz xy xz yz) of half of each of its linels, and its shares of mu2. With a
+/// continuous field, all the measures of the surfel.
 pub type Lumped = [i64; 8];
 
 /// The tensor of a linel: xx yy zz xy xz yz.
@@ -41,15 +46,26 @@ pub enum Keep {
     Cells,
 }
 
+/// What is to be evaluated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Asked {
+    /// How `u` is continued from surfels to the surface.
+    pub field: Field,
+    /// How measures are kept; a continuous field has none but on surfels, so it is always lumped.
+    pub keep: Keep,
+    /// Whether mu_Omega is wanted too.
+    pub quality: bool,
+}
+
 /// What is remarkable about a surfel, before any ball is looked at: bits of [`CellMeasures::marks`].
 pub mod mark {
-    /// A pointel of the surfel needed a lift: k != 0.
+    /// A pointel of the surfel needed a lift, or with a continuous field the surfel itself: k != 0.
     pub const LIFTED: u8 = 1;
     /// The surfel has a side on the border of an open image, or its normal's ball is cut by it.
     pub const CUT: u8 = 2;
     /// No normal could be estimated.
     pub const DEGENERATE: u8 = 4;
-    /// <u, n> <= 0.
+    /// <u, n> <= 0; with a continuous field on the average, mu0 <= 0.
     pub const OPPOSED: u8 = 8;
     /// A surfel around one of its pointels, or itself, is [`CUT`]: its linels and pointels then
     /// have measures that what is beyond the border could change.
@@ -67,6 +83,9 @@ pub struct CellMeasures {
     pub linels: Vec<Tensor>,
     /// mu2 of the umbrellas owned, by surfel, then by corner.
     pub umbrellas: Vec<i64>,
+    /// mu_Omega, if it was asked for: one a surfel with [`Keep::Lumped`], half of that of each of its
+    /// linels; with [`Keep::Cells`] one for each of `linels`.
+    pub omega: Vec<i64>,
     /// First of `linels` and of `umbrellas` of each surfel, and one past the last.
     pub owned_from: Vec<[u32; 2]>,
     /// One a surfel: bits of [`mark`].
@@ -81,6 +100,7 @@ impl CellMeasures {
             + self.mu0.len() * 8
             + self.linels.len() * 48
             + self.umbrellas.len() * 8
+            + self.omega.len() * 8
             + self.owned_from.len() * 8
             + self.marks.len()
     }
@@ -103,7 +123,7 @@ pub struct CellTotals {
     pub mu1: i128,
     /// Sum of mu2, in the unit of [`fixed::from_solid_angle`].
     pub mu2: i128,
-    /// Sum of the lifts k.
+    /// Sum of the lifts k; with a linear field there are none.
     pub lifts: i64,
     /// Sum of |k|: how bad `u` is.
     pub absolute_lifts: u64,
@@ -138,12 +158,51 @@ impl CellTotals {
     }
 
     /// V - E + F by Gauss-Bonnet, (sum(mu2) + 4 pi sum(k)) / 2 pi; `None` if the surface is open or
-    /// (impossible on a closed surface) the quotient is not whole.
+    /// (impossible on a closed surface with `u` of unit length) the quotient is not whole.
     #[must_use]
     pub fn euler_gauss_bonnet(&self) -> Option<i128> {
         let lifted = self.mu2 + i128::from(self.lifts) * i128::from(fixed::SPHERE);
         let whole = i128::from(fixed::SPHERE / 2);
         (self.border_linels == 0 && lifted % whole == 0).then_some(lifted / whole)
+    }
+}
+
+/// In place of the number of a surfel that is not in the core.
+pub(super) const RIM: u32 = u32::MAX;
+
+/// Numbers within the core of the surfels of a surface.
+pub(super) struct Numbers {
+    /// Of each surfel; [`RIM`] outside of the core.
+    pub(super) of: Vec<u32>,
+    /// Surfels of the core.
+    pub(super) count: usize,
+}
+
+impl Numbers {
+    pub(super) fn of(surface: &Surface, core: CellBox) -> Self {
+        let mut of = vec![RIM; surface.len()];
+        let mut count = 0;
+        for (i, number) in of.iter_mut().enumerate() {
+            if core.contains(surface.surfels.oriented(i).cell()) {
+                *number = count;
+                count += 1;
+            }
+        }
+        Self {
+            of,
+            count: count as usize,
+        }
+    }
+}
+
+/// Marks the surfels of the core around a pointel as near a cut if one of all is cut.
+pub(super) fn spread_cut(members: &[usize], marks: &[u8], core: &Numbers, core_marks: &mut [u8]) {
+    if members.iter().any(|&m| marks[m] & mark::CUT != 0) {
+        for &m in members {
+            if core.of[m] != RIM {
+                core_marks[core.of[m] as usize] |= mark::NEAR_CUT;
+            }
+        }
     }
 }
 
@@ -158,22 +217,21 @@ pub fn evaluate(
     edges: [f64; 3],
     u: &[DVec3],
     marks: &[u8],
-    keep: Keep,
+    asked: Asked,
 ) -> (CellMeasures, CellTotals) {
-    const RIM: u32 = u32::MAX;
+    let Asked {
+        field,
+        keep,
+        quality,
+    } = asked;
+    if field.is_continuous() {
+        return super::field::evaluate(surface, core, edges, u, marks, field, quality);
+    }
     let count = surface.len();
     let links = &surface.links.of;
     let mut totals = CellTotals::default();
-    // Number within the core of each surfel.
-    let mut core_number = vec![RIM; count];
-    let mut core_count = 0;
-    for i in 0..count {
-        if core.contains(surface.surfels.oriented(i).cell()) {
-            core_number[i] = core_count;
-            core_count += 1;
-        }
-    }
-    let core_count = core_count as usize;
+    let numbers = Numbers::of(surface, core);
+    let (core_number, core_count) = (&numbers.of, numbers.count);
     let mut out = CellMeasures {
         marks: Vec::with_capacity(core_count),
         ..Default::default()
@@ -219,6 +277,8 @@ pub fn evaluate(
     } else {
         0
     });
+    let lumped_omega = quality && keep == Keep::Lumped;
+    let mut omega = vec![0i64; if lumped_omega { core_count } else { 0 }];
     let mut owned = vec![[0u32; 2]; if keep == Keep::Cells { core_count } else { 0 }];
     for i in 0..count {
         let orientation = surface.surfels.list[i].orientation;
@@ -250,6 +310,12 @@ pub fn evaluate(
                 totals.linels += 1;
                 totals.mu1 += i128::from(whole[0]) + i128::from(whole[1]) + i128::from(whole[2]);
             }
+            // <e, u_i - u_n> length (Proposition 3.8), rounded such that opposite sides of a surfel
+            // cancel: over a closed surface the sum is exactly zero.
+            let part_of_omega = |part: f64| {
+                let on = |u: DVec3| fixed::from_measure(part * edges[axis(along)] * e.dot(u));
+                on(u[i]) - on(u[n])
+            };
             match keep {
                 Keep::Lumped => {
                     let half = tensor.map(|x| fixed::from_measure(0.5 * x));
@@ -261,9 +327,20 @@ pub fn evaluate(
                             }
                         }
                     }
+                    if quality {
+                        let half = part_of_omega(0.5);
+                        for number in [mine, other] {
+                            if number != RIM {
+                                omega[number as usize] += half;
+                            }
+                        }
+                    }
                 }
                 Keep::Cells if mine != RIM => {
                     linels.push(whole);
+                    if quality {
+                        omega.push(part_of_omega(1.0));
+                    }
                     owned[mine as usize][0] += 1;
                 }
                 Keep::Cells => {}
@@ -294,13 +371,7 @@ pub fn evaluate(
             if members.iter().all(|&m| core_number[m] == RIM) {
                 continue;
             }
-            if members.iter().any(|&m| marks[m] & mark::CUT != 0) {
-                for &m in &members {
-                    if core_number[m] != RIM {
-                        out.marks[core_number[m] as usize] |= mark::NEAR_CUT;
-                    }
-                }
-            }
+            spread_cut(&members, marks, &numbers, &mut out.marks);
             let mut lift = (4 - members.len() as i64) * fixed::QUARTER_TURN;
             let (mut at, mut corner) = (i, j);
             for _ in 0..members.len() {
@@ -345,6 +416,7 @@ pub fn evaluate(
         out.owned_from.push(from);
     }
     out.lumped = lumped;
+    out.omega = omega;
     linels.shrink_to_fit();
     umbrellas.shrink_to_fit();
     out.linels = linels;

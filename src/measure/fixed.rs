@@ -2,13 +2,16 @@
 //!
 //! | measure | unit |
 //! |---|---|
-//! | mu0, tensor (mu1) | 2^-40, of areas and lengths in voxel units |
-//! | mu2 of a pointel | (pi/2) 2^-44, so that 4 pi is 2^47 exactly |
+//! | mu0, tensor (mu1), mu_Omega | 2^-40, of areas and lengths in voxel units |
+//! | mu2 of a pointel, or of a surfel with a continuous field | (pi/2) 2^-44, so that 4 pi is 2^47 exactly |
 //! | mu2 lumped on surfels | (pi/2) 2^-40 |
 //!
 //! Range. A voxel has at most 3 surfels to its name, and a surfel carries at most 4 halves of a
 //! tensor whose terms are at most pi, which is 2 pi 2^40 < 2^42.7; and at most 4 thirds of a mu2
-//! of at most 2 pi, which is 4/3 2^42 < 2^42.5. So the lumps of a voxel are below 2^44.3, and
+//! of at most 2 pi, which is 4/3 2^42 < 2^42.5. With a continuous field a term of the tensor of a surfel is at most
+//! 2 pi (rows and columns of the field are arcs of at most pi; quadrature is held to it), its mu2
+//! at most 2 pi (linear: |u| <= 1 and |u_s|, |u_t| <= 2, so at most 4), within the same bounds. mu_Omega is at most 4 on a
+//! surfel: half of 4 linels of at most 2, or 4 sides of at most 1. So the lumps of a voxel are below 2^44.3, and
 //! balls of up to [`MOST_VOXELS`] voxels sum to less than 2^62.3, whatever the volume and `u`.
 //! Sums of unlumped measures are kept in 128 bits.
 

@@ -10,6 +10,7 @@
 //! | bits, and the index of surfels | 1/8 byte a voxel of 2 R + 3 H + 9 S planes, about 9/16 more (as if no brick were empty) of 2 H + 8 S of them |
 //! | surfels in flight | [`Plan::surfel_bytes`] each, within 3/4 of [`Plan::surfel_budget_bytes`] |
 //! | rows | [`Plan::row_bytes`] a surfel of a slab, [`Plan::sent_row_bytes`] a surfel of its densest plane, within 1/4 of it |
+//! | mu_Omega, if asked for | 8 bytes more a surfel in flight and of scratch (18 where linels are kept), 4 a row and radius |
 //! | scratch of a worker | [`SCRATCH_BYTES`] a surfel of a brick with its halo ([`CELL_SCRATCH_BYTES`] where linels and pointels are kept) |
 //!
 //! The number of surfels is only known when they are met, so slabs adapt: a slab is lowered until
@@ -124,6 +125,8 @@ pub struct PlanRequest<'a> {
     pub balls: &'a [BallKernel],
     /// Whether directions are among the results.
     pub directions: bool,
+    /// Whether mu_Omega is among them.
+    pub quality: bool,
     /// Memory allowed.
     pub memory_bytes: u64,
     /// Further memory that the sinks hold during the whole run.
@@ -213,11 +216,14 @@ impl Plan {
         }
         let lumped = balls.iter().all(|b| b.weights() == Weights::Lumped);
         let radii = balls.len() as u64;
-        let with_directions = |plain: u64| plain + if request.directions { 24 } else { 0 };
-        let row_bytes = 32 + radii * with_directions(20);
-        let sent_row_bytes = SENT_PLANES * (41 + radii * with_directions(18));
+        let only_if = |asked: bool, bytes: u64| if asked { bytes } else { 0 };
+        let asked_bytes = only_if(request.directions, 24) + only_if(request.quality, 4);
+        let row_bytes = 32 + radii * (20 + asked_bytes);
+        let sent_row_bytes = SENT_PLANES * (41 + radii * (18 + asked_bytes));
+        // mu_Omega of a surfel, or of its linels: two on the average
+        let omega_bytes = only_if(request.quality, if lumped { 8 } else { 18 });
         // u, measures, marks
-        let surfel_bytes = 30 + if lumped { 65 } else { 130 };
+        let surfel_bytes = 30 + omega_bytes + if lumped { 65 } else { 130 };
         let [x, y, z] = lattice.dims.map(u64::from);
         let plane_bits = x.div_ceil(64) * 8 * y;
         let stored_plane = (x * y).saturating_mul(request.voxel_bytes);
@@ -240,11 +246,12 @@ impl Plan {
             let packed = plane_bits.saturating_mul(packed.min(z + 1));
             packed.saturating_add(plane_index.saturating_mul(indexed))
         };
-        let surfel_scratch = if lumped {
-            SCRATCH_BYTES
-        } else {
-            CELL_SCRATCH_BYTES
-        };
+        let surfel_scratch = omega_bytes
+            + if lumped {
+                SCRATCH_BYTES
+            } else {
+                CELL_SCRATCH_BYTES
+            };
         let scratch_bytes = |edge: i32, slab: i32| {
             let grown = |reach: [i32; 3], bytes: u64| {
                 let cells = f64::from((edge + 2 * reach[0]).min(lattice.dims[0] as i32 + 1))

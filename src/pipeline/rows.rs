@@ -23,6 +23,8 @@ pub(super) struct BrickRows {
     curvatures: Vec<Vec<CurvatureRow>>,
     /// The same of d1 and d2; empty unless they are wanted.
     directions: Vec<Vec<[[f32; 3]; 2]>>,
+    /// The same of mu_Omega / mu0.
+    quality: Vec<Vec<f32>>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -57,6 +59,11 @@ pub(super) fn empty_batch(shared: &Shared<'_>, column: [u32; 2], count: usize) -
         k2: floats(),
         d1: direction(),
         d2: direction(),
+        quality: if shared.settings.quality {
+            floats()
+        } else {
+            Vec::new()
+        },
         flags: Vec::with_capacity(count),
     };
     SurfelBatch {
@@ -107,6 +114,7 @@ impl BrickRows {
             let radius_world = ball.radius() * unit;
             let mut curvatures = Vec::with_capacity(u.len());
             let mut principal = Vec::new();
+            let mut quality = Vec::new();
             for (number, sums) in ball.sums(surface, measures, &cores).iter().enumerate() {
                 let curvature = Curvature::from_sums(sums, u[number], unit);
                 let values = curvature.map_or([f32::NAN; 4], |c| {
@@ -117,10 +125,16 @@ impl BrickRows {
                 if shared.settings.directions {
                     principal.push(directions(shared, curvature.as_ref()));
                 }
+                if shared.settings.quality {
+                    quality.push(curvature.map_or(f32::NAN, |c| c.quality as f32));
+                }
             }
             rows.curvatures.push(curvatures);
             if shared.settings.directions {
                 rows.directions.push(principal);
+            }
+            if shared.settings.quality {
+                rows.quality.push(quality);
             }
         }
         rows
@@ -159,6 +173,9 @@ impl BrickRows {
                     columns.d2[a].push(d2[a]);
                 }
             }
+        }
+        for (quality, columns) in self.quality.iter().zip(&mut batch.curvatures) {
+            columns.quality.extend_from_slice(&quality[run.clone()]);
         }
     }
 }

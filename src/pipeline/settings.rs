@@ -4,6 +4,7 @@ use crate::error::Error;
 use crate::khalimsky::Adjacency;
 use crate::lattice::Lattice;
 use crate::measure::ball::{BallKernel, Extent, Weights};
+use crate::measure::field::Field;
 use crate::normal::{Estimator, NormalKernel, Orientation};
 
 use super::plan::{Plan, PlanRequest};
@@ -17,6 +18,8 @@ pub struct Settings {
     pub adjacency: Adjacency,
     /// The normals.
     pub estimator: Estimator,
+    /// How the normals are continued over the surface.
+    pub field: Field,
     /// Radii of the balls of the measures, in voxel units.
     pub radii: Vec<f64>,
     /// Which part of the surface in a ball is summed.
@@ -25,6 +28,8 @@ pub struct Settings {
     pub weights: Weights,
     /// Whether to give principal directions.
     pub directions: bool,
+    /// Whether to give mu_Omega / mu0, the quality of the normals.
+    pub quality: bool,
     /// Worker threads.
     pub threads: usize,
     /// Memory allowed.
@@ -51,10 +56,12 @@ impl Settings {
                 radius: 3.0,
                 orientation: Orientation::Moment,
             },
+            field: Field::Constant,
             radii: vec![3.0],
             extent: Extent::Connected,
             weights: Weights::Lumped,
             directions: false,
+            quality: false,
             threads: std::thread::available_parallelism().map_or(1, usize::from),
             memory_bytes: 1 << 30,
             brick: None,
@@ -82,6 +89,7 @@ impl Settings {
             normals: &kernels.normals,
             balls: &kernels.balls,
             directions: self.directions,
+            quality: self.quality,
             memory_bytes: self.memory_bytes,
             sink_bytes,
             threads: self.threads,

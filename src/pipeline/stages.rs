@@ -11,8 +11,8 @@ use rayon::prelude::*;
 
 use crate::brick::{BrickGrid, Slab, SlabWindow};
 use crate::error::Error;
-use crate::measure::ball::{LocalMeasures, Weights};
-use crate::measure::cells::{self, CellMeasures, CellTotals, Keep, mark};
+use crate::measure::ball::LocalMeasures;
+use crate::measure::cells::{self, Asked, CellMeasures, CellTotals, Keep, mark};
 use crate::measure::surface::Surface;
 use crate::sink::{Parts, SurfelBatch, SurfelSink};
 use crate::surfel::{CellBox, SurfelIndex, Surfels};
@@ -325,12 +325,13 @@ fn normal_brick(shared: &Shared<'_>, window: &PlaneWindow, core: CellBox) -> Nor
     }
 }
 
-/// How measures are kept, given how they will be summed.
-fn keep(shared: &Shared<'_>) -> Keep {
-    if shared.settings.weights == Weights::Lumped {
-        Keep::Lumped
-    } else {
-        Keep::Cells
+/// What of the cells is evaluated, and how it is kept.
+fn asked(shared: &Shared<'_>) -> Asked {
+    let settings = shared.settings;
+    Asked {
+        field: settings.field,
+        keep: settings.field.keep(settings.weights),
+        quality: settings.quality,
     }
 }
 
@@ -420,7 +421,7 @@ fn measure_brick(
         shared.lattice.edges(),
         &u,
         &marks,
-        keep(shared),
+        asked(shared),
     )
 }
 
@@ -486,7 +487,7 @@ fn row_brick(
     let around = core.grown(shared.plan.ball_reach, grid.cell_dims);
     let surface = Surface::extract(voxels, around, shared.lattice, shared.settings.adjacency);
     let mut gathered = CellMeasures::default();
-    let by_cells = keep(shared) == Keep::Cells;
+    let by_cells = asked(shared).keep == Keep::Cells;
     if by_cells {
         gathered.owned_from.push([0, 0]);
     }
@@ -507,11 +508,19 @@ fn row_brick(
                     .iter()
                     .map(|n| [n[0].wrapping_add(shift[0]), n[1].wrapping_add(shift[1])]),
             );
+            if shared.settings.quality {
+                gathered
+                    .omega
+                    .extend_from_slice(&from.omega[linels.clone()]);
+            }
             gathered.linels.extend_from_slice(&from.linels[linels]);
             gathered
                 .umbrellas
                 .extend_from_slice(&from.umbrellas[umbrellas]);
         } else {
+            if shared.settings.quality {
+                gathered.omega.extend_from_slice(&from.omega[run.clone()]);
+            }
             gathered.lumped.extend_from_slice(&from.lumped[run]);
         }
     });

@@ -13,7 +13,7 @@ pub struct SurfelBatch {
     pub position: [Vec<f32>; 3],
     /// Unit corrected normal `u`, outward, in world axes.
     pub normal: [Vec<f32>; 3],
-    /// Corrected area of the surfel itself, mu0 = <u, n> * area, in world units squared.
+    /// Corrected area of the surfel itself, mu0, the integral of <u, n> over it, in world units squared.
     pub area: Vec<f32>,
     /// Curvatures, one entry per measure radius, in the order asked.
     pub curvatures: Vec<CurvatureColumns>,
@@ -34,6 +34,8 @@ pub struct CurvatureColumns {
     pub d1: [Vec<f32>; 3],
     /// Direction of `k2`, in world axes, sign arbitrary; empty unless directions were asked for.
     pub d2: [Vec<f32>; 3],
+    /// Quality of the normals, mu_Omega / mu0, in 1/world-unit; empty unless it was asked for.
+    pub quality: Vec<f32>,
     /// What to know before trusting the row: see [`Flag`].
     pub flags: Vec<FlagSet>,
 }
@@ -53,9 +55,10 @@ pub enum Flag {
     Island = 1 << 2,
     /// |k1| or |k2| exceeds 1/radius: the feature is smaller than the ball.
     RadiusTooLarge = 1 << 3,
-    /// The corrected normal does not point outward: <u, n> <= 0.
+    /// The corrected normal does not point outward: <u, n> <= 0 (with a continuous field, on the average).
     NormalOpposed = 1 << 4,
-    /// The normals around a pointel of this surfel wind more than a hemisphere: the lift k is not 0.
+    /// The normals around a pointel of this surfel (with a continuous field: on this surfel) wind more
+    /// than a hemisphere: the lift k is not 0.
     Lifted = 1 << 5,
     /// No normal could be estimated; the trivial normal was used.
     DegenerateNormal = 1 << 6,

@@ -85,6 +85,13 @@ pub(crate) fn column_descriptions(info: &TableInfo) -> Vec<(String, String)> {
                 }
             }
         }
+        if info.quality {
+            let text = format!(
+                "quality of the normals, mu_Omega / mu0 {at}, in 1/{unit}: 0 if they are those of a \
+                 surface; compare its size with mean_curvature"
+            );
+            add(format!("quality{end}"), text);
+        }
         add(
             format!("flags{end}"),
             format!("reasons to look twice {at}, bits named in curvox.flags"),
@@ -133,24 +140,21 @@ pub(crate) fn take_record_batch(
     arrays.extend(rows.position.iter_mut().map(float));
     arrays.extend(rows.normal.iter_mut().map(float));
     arrays.push(float(&mut rows.area));
-    let directions = has_directions(schema);
+    let has = |start: &str| schema.fields().iter().any(|f| f.name().starts_with(start));
+    let (directions, quality) = (has("d1x"), has("quality"));
     for at in &mut rows.curvatures {
         arrays.extend([&mut at.mean, &mut at.gaussian, &mut at.k1, &mut at.k2].map(float));
         if directions {
             arrays.extend(at.d1.iter_mut().map(float));
             arrays.extend(at.d2.iter_mut().map(float));
         }
+        if quality {
+            arrays.push(float(&mut at.quality));
+        }
         arrays.push(Arc::new(UInt16Array::from(std::mem::take(&mut at.flags))));
     }
     RecordBatch::try_new(Arc::clone(schema), arrays)
         .map_err(|error| SinkError::Contract(format!("columns do not fit the schema: {error}")))
-}
-
-fn has_directions(schema: &SchemaRef) -> bool {
-    schema
-        .fields()
-        .iter()
-        .any(|field| field.name().starts_with("d1x"))
 }
 
 impl SurfelBatch {
@@ -183,6 +187,7 @@ impl SurfelBatch {
                     k2: floats(),
                     d1: direction(),
                     d2: direction(),
+                    quality: if info.quality { floats() } else { Vec::new() },
                     flags: Vec::with_capacity(rows),
                 })
                 .collect(),
@@ -218,11 +223,14 @@ impl SurfelBatch {
                 copy_triple(&mut to.d1, &from.d1, r);
                 copy_triple(&mut to.d2, &from.d2, r);
             }
+            if !from.quality.is_empty() {
+                copy(&mut to.quality, &from.quality, r);
+            }
             copy(&mut to.flags, &from.flags, r);
         }
     }
 
-    /// Makes room for `rows` rows, in all columns but the directions, which are seldom there.
+    /// Makes room for `rows` rows, in all columns but those that are seldom asked for.
     pub(crate) fn reserve_rows(&mut self, rows: usize) {
         self.k.iter_mut().for_each(|column| column.reserve(rows));
         self.side.reserve(rows);
@@ -262,6 +270,7 @@ impl SurfelBatch {
                 .iter()
                 .chain(&at.d2)
                 .all(|column| column.len() == direction_rows);
+            whole &= at.quality.len() == if info.quality { rows } else { 0 };
         }
         if whole && lengths.iter().all(|&length| length == rows) {
             return Ok(());

@@ -45,6 +45,8 @@ pub struct TableInfo {
     pub radii: Vec<RadiusInfo>,
     /// Whether the table has the principal directions d1, d2.
     pub directions: bool,
+    /// Whether the table has the quality of the normals, mu_Omega / mu0.
+    pub quality: bool,
     /// Every parameter of the run that the rows depend on.
     pub parameters: Value,
     /// Version of curvox.

@@ -273,11 +273,10 @@ fn table_info(path: &Path, builder: &Builder) -> Result<TableInfo, SinkError> {
         serde_json::from_str(text(key)?)
             .map_err(|error| damaged(path, &format!("metadata {key}"), error, "JSON"))
     };
-    let directions = builder
-        .schema()
-        .fields()
-        .iter()
-        .any(|f| f.name().starts_with("d1x"));
+    let has = |start: &str| {
+        let mut fields = builder.schema().fields().iter();
+        fields.any(|f| f.name().starts_with(start))
+    };
     let value = serde_json::json!({
         "dims": json("curvox.dims")?,
         "spacing": json("curvox.spacing")?,
@@ -285,7 +284,8 @@ fn table_info(path: &Path, builder: &Builder) -> Result<TableInfo, SinkError> {
         "origin": json("curvox.origin")?,
         "direction": json("curvox.direction")?,
         "radii": json("curvox.radii")?,
-        "directions": directions,
+        "directions": has("d1x"),
+        "quality": has("quality"),
         "parameters": json("curvox.parameters")?,
         "version": text("curvox.version")?,
         "conventions": text("curvox.conventions")?.lines().collect::<Vec<_>>(),
@@ -350,6 +350,9 @@ fn surfel_batch(
                 .iter_mut()
                 .chain(&mut at.d2)
                 .try_for_each(&mut float)?;
+        }
+        if info.quality {
+            float(&mut at.quality)?;
         }
         at.flags = next()?.as_primitive::<UInt16Type>().values().to_vec();
         rows.curvatures.push(at);

@@ -44,9 +44,9 @@ pub struct ExactTotals {
     /// Euler characteristic V - E + F of the split surface.
     pub euler_counted: i64,
     /// Euler characteristic by Gauss-Bonnet, sum(mu2) / 2 pi + 2 sum(k); `None` if it was not
-    /// computed or is no integer.
+    /// computed or is no integer, and with a linear field, for which there is no such theorem.
     pub euler_gauss_bonnet: Option<i64>,
-    /// Sum of the lifts k of mu2.
+    /// Sum of the lifts k of mu2; 0 with a linear field, which has none.
     pub sum_k: i64,
     /// Sum of their absolute values: how bad the normals are.
     pub sum_abs_k: u64,
@@ -142,6 +142,9 @@ pub struct RadiusSummary {
     /// Root mean square, weighted by area, of (k1 + k2) / 2 - H: how far the principal curvatures
     /// are from the mean one.
     pub principal_mismatch_rms: Option<f64>,
+    /// Root mean square, weighted by area, of the quality of the normals, mu_Omega / mu0; `None` if it
+    /// was not asked for.
+    pub quality_rms: Option<f64>,
 }
 
 /// Sums over rows.
@@ -221,6 +224,8 @@ struct RadiusSums {
     values: [ValueSums; 4],
     mismatch: f64,
     mismatch_area: f64,
+    quality: f64,
+    quality_area: f64,
 }
 
 #[derive(Clone, Debug)]
@@ -278,6 +283,8 @@ impl SummarySink {
                 k2,
                 principal_mismatch_rms: (sums.mismatch_area > 0.0)
                     .then(|| (sums.mismatch / sums.mismatch_area).sqrt()),
+                quality_rms: (sums.quality_area > 0.0)
+                    .then(|| (sums.quality / sums.quality_area).sqrt()),
             }
         });
         Summary {
@@ -368,6 +375,8 @@ impl RadiusSums {
             values: [linear.clone(), square, linear.clone(), linear],
             mismatch: 0.0,
             mismatch_area: 0.0,
+            quality: 0.0,
+            quality_area: 0.0,
         }
     }
 
@@ -394,6 +403,12 @@ impl RadiusSums {
             self.mismatch += weight * mismatch * mismatch;
             self.mismatch_area += weight;
         }
+        if let Some(&quality) = at.quality.get(row)
+            && quality.is_finite()
+        {
+            self.quality += weight * f64::from(quality) * f64::from(quality);
+            self.quality_area += weight;
+        }
     }
 
     fn add(&mut self, other: &Self) {
@@ -407,6 +422,8 @@ impl RadiusSums {
         }
         self.mismatch += other.mismatch;
         self.mismatch_area += other.mismatch_area;
+        self.quality += other.quality;
+        self.quality_area += other.quality_area;
     }
 }
 

@@ -4,8 +4,8 @@ use std::sync::atomic::AtomicBool;
 use curvox::Error;
 use curvox::curvature::Curvature;
 use curvox::lattice::Lattice;
-use curvox::measure::ball::{BallKernel, BallSums, LocalMeasures, Weights};
-use curvox::measure::cells::{CellTotals, Keep, evaluate, mark};
+use curvox::measure::ball::{BallKernel, BallSums, LocalMeasures};
+use curvox::measure::cells::{Asked, CellTotals, evaluate, mark};
 use curvox::measure::surface::Surface;
 use curvox::normal::NormalKernel;
 use curvox::pipeline::{Outcome, Progress, Settings, Source, run};
@@ -118,6 +118,15 @@ pub(crate) struct Whole {
     pub(crate) solid: SolidCounts,
 }
 
+/// What of the cells a run with these settings evaluates.
+pub(crate) fn asked(settings: &Settings) -> Asked {
+    Asked {
+        field: settings.field,
+        keep: settings.field.keep(settings.weights),
+        quality: settings.quality,
+    }
+}
+
 pub(crate) fn whole(solid: &Solid, settings: &Settings) -> Whole {
     let lattice = &settings.lattice;
     let window = window(solid);
@@ -134,12 +143,8 @@ pub(crate) fn whole(solid: &Solid, settings: &Settings) -> Whole {
         .iter()
         .map(|&d| if d { mark::DEGENERATE } else { 0 })
         .collect();
-    let keep = if settings.weights == Weights::Lumped {
-        Keep::Lumped
-    } else {
-        Keep::Cells
-    };
-    let (cells, totals) = evaluate(&surface, core, lattice.edges(), &normals.u, &marks, keep);
+    let edges = lattice.edges();
+    let (cells, totals) = evaluate(&surface, core, edges, &normals.u, &marks, asked(settings));
     let marks = cells.marks.clone();
     let measures = LocalMeasures::new(&surface, cells);
     let ball = BallKernel::new(
@@ -208,6 +213,7 @@ impl Collected {
                 all.gaussian.extend(&from.gaussian);
                 all.k1.extend(&from.k1);
                 all.k2.extend(&from.k2);
+                all.quality.extend(&from.quality);
                 all.flags.extend(&from.flags);
                 for a in 0..3 {
                     all.d1[a].extend(&from.d1[a]);
@@ -273,7 +279,7 @@ pub(crate) fn bits(batch: &SurfelBatch) -> Vec<u64> {
         .for_each(|v| floats(v));
     floats(&batch.area);
     for c in &batch.curvatures {
-        for v in [&c.mean, &c.gaussian, &c.k1, &c.k2] {
+        for v in [&c.mean, &c.gaussian, &c.k1, &c.k2, &c.quality] {
             floats(v);
         }
         c.d1.iter().chain(&c.d2).for_each(|v| floats(v));

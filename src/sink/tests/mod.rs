@@ -29,6 +29,8 @@ fn info(dims: [u32; 3], radii: usize, directions: bool) -> TableInfo {
             })
             .collect(),
         directions,
+        // both columns that are only there if asked for
+        quality: directions,
         parameters: json!({"threshold": 0.5, "normals": "average"}),
         version: "0.1.0".into(),
         conventions: vec![
@@ -148,6 +150,9 @@ fn push_row(
                 at.d2[a].push(noise.signed());
             }
         }
+        if info.quality {
+            at.quality.push(0.1 * noise.signed());
+        }
         let border = if k[2] < 12 { Flag::Border.bit() } else { 0 };
         at.flags
             .push(if none { Flag::NoArea.bit() } else { 0 } | border);
@@ -216,6 +221,7 @@ fn assert_same_rows(a: &SurfelBatch, b: &SurfelBatch) {
                 c.gaussian.clone(),
                 c.k1.clone(),
                 c.k2.clone(),
+                c.quality.clone(),
             ])
         };
         assert_eq!(values(a), values(b));

@@ -32,6 +32,7 @@ fn info(edge: u32) -> TableInfo {
             world: 1.5,
         }],
         directions: false,
+        quality: false,
         parameters: Default::default(),
         version: "0.1.0".into(),
         conventions: Vec::new(),
