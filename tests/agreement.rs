@@ -2,6 +2,7 @@ use curvox::khalimsky::Adjacency;
 use curvox::lattice::Lattice;
 use curvox::measure::ball::{Extent, Weights};
 use curvox::measure::cells::mark;
+use curvox::measure::field::Field;
 use curvox::normal::{Estimator, Orientation};
 use curvox::pipeline::Settings;
 use curvox::sink::Flag;
@@ -34,6 +35,11 @@ fn plainly(settings: &Settings) -> plain::Settings {
             Estimator::SurfaceAverage { radius } => plain::Estimator::SurfaceAverage {
                 radius_world: radius * unit,
             },
+        },
+        field: match settings.field {
+            Field::Constant => plain::Field::Constant,
+            Field::Interpolated => plain::Field::Interpolated,
+            Field::Linear => plain::Field::Linear,
         },
         rho_world: settings.radii[0] * unit,
         weights: match settings.weights {
@@ -76,12 +82,18 @@ fn agree(solid: &Solid, settings: &Settings) -> usize {
         u: ours.rows.iter().map(|r| r.u.to_array()).collect(),
         degenerate: theirs.degenerate,
     };
-    let cells = Cells::new(&surface, &normals.u, &scale);
+    let cells = Cells::with_field(&surface, &normals.u, &scale, asked.field);
     let totals = Totals::new(solid, &surface, &cells);
     assert_eq!(ours.totals.surfel_count() as i64, totals.surfels);
     assert_eq!(ours.totals.linels as i64, totals.linels);
     assert_eq!(ours.totals.pointels as i64, totals.pointels);
-    assert_eq!(ours.totals.mu0, totals.mu0);
+    if settings.field == Field::Constant {
+        assert_eq!(ours.totals.mu0, totals.mu0);
+    }
+    // a few units a cell
+    let slack = 4 * (surface.len() as i128 + 1);
+    assert!((ours.totals.mu0 - totals.mu0).abs() < slack);
+    assert!((ours.totals.mu1 - totals.mu1).abs() < 10 * slack);
     assert_eq!(ours.solid.chi6, totals.solid.chi6);
     assert_eq!(ours.solid.chi26, totals.solid.chi26);
     assert_eq!(
@@ -107,6 +119,16 @@ fn agree(solid: &Solid, settings: &Settings) -> usize {
         assert!(
             (row.sums.mu2 - plain.sums.mu2).abs() < 1e-9,
             "{place:?} mu2"
+        );
+        let expected = if settings.quality {
+            plain.sums.omega
+        } else {
+            0.0
+        };
+        assert!(
+            (row.sums.omega - expected).abs() < 1e-9,
+            "{place:?} omega {} {expected} {settings:?}",
+            row.sums.omega,
         );
         if settings.weights != Weights::Dgtal {
             assert_eq!(
@@ -135,6 +157,9 @@ fn agree(solid: &Solid, settings: &Settings) -> usize {
                     (c.gaussian - plain.curvature.gaussian).abs() < slack,
                     "{place:?} G"
                 );
+                if settings.quality {
+                    assert!((c.quality - plain.curvature.quality).abs() < slack);
+                }
                 assert!(
                     (c.k1 - plain.curvature.k1).abs() < slack * 10.0,
                     "{place:?} k1"
@@ -152,6 +177,7 @@ fn agree(solid: &Solid, settings: &Settings) -> usize {
 fn settings(lattice: Lattice) -> Settings {
     Settings {
         threads: 2,
+        quality: true,
         ..Settings::new(lattice)
     }
 }
@@ -226,11 +252,53 @@ fn production_agrees_with_the_plain_reference_on_solids_and_box_voxels() {
 }
 
 #[test]
+fn production_agrees_with_the_plain_reference_for_continuous_fields() {
+    let mut seed = 100;
+    for field in [Field::Interpolated, Field::Linear] {
+        for closed in [false, true] {
+            for weights in ALL_WEIGHTS {
+                for spacing in [[0.5; 3], [1.0, 0.7, 0.45]] {
+                    seed += 1;
+                    let solids = [noise([12, 9, 10], 0.4, seed), blob([24, 22, 20], seed)];
+                    for solid in solids {
+                        let mut s = settings(lattice(&solid, spacing, closed));
+                        s.field = field;
+                        s.weights = weights;
+                        if seed % 2 == 0 {
+                            s.adjacency = Adjacency::Exterior;
+                            s.extent = Extent::Whole;
+                        }
+                        for estimator in [
+                            Estimator::SurfaceAverage { radius: 2.5 },
+                            Estimator::IntegralInvariant {
+                                radius: 2.0,
+                                orientation: Orientation::Moment,
+                            },
+                        ] {
+                            s.estimator = estimator;
+                            agree(&solid, &s);
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
 fn the_pipeline_gives_the_rows_of_a_single_brick() {
     let solid = blob([75, 40, 70], 5);
-    for weights in ALL_WEIGHTS {
+    for (weights, field) in [
+        (Weights::Lumped, Field::Constant),
+        (Weights::Sharp, Field::Constant),
+        (Weights::Dgtal, Field::Constant),
+        (Weights::Sharp, Field::Interpolated),
+        (Weights::Dgtal, Field::Interpolated),
+        (Weights::Lumped, Field::Linear),
+    ] {
         let mut s = settings(lattice(&solid, [1.0, 1.0, 1.5], false));
         s.weights = weights;
+        s.field = field;
         s.directions = true;
         let ours = whole(&solid, &s);
         let (rows, outcome) = piped(&solid, &s);
@@ -242,6 +310,7 @@ fn the_pipeline_gives_the_rows_of_a_single_brick() {
             let columns = &rows.curvatures[0];
             let Some(c) = row.curvature else {
                 assert!(columns.mean[i].is_nan() && columns.k2[i].is_nan());
+                assert!(columns.quality[i].is_nan());
                 assert!(columns.flags[i] & Flag::NoArea.bit() != 0);
                 continue;
             };
@@ -249,6 +318,7 @@ fn the_pipeline_gives_the_rows_of_a_single_brick() {
             assert_eq!(columns.gaussian[i], c.gaussian as f32);
             assert_eq!(columns.k1[i], c.k1 as f32);
             assert_eq!(columns.k2[i], c.k2 as f32);
+            assert_eq!(columns.quality[i], c.quality as f32);
             let sheets = columns.flags[i] & Flag::SeveralSheets.bit() != 0;
             assert_eq!(sheets, row.sums.several_sheets);
         }

@@ -6,13 +6,21 @@ use glam::DVec3;
 
 use crate::common::{FullRow, Whole, lattice, whole};
 
-struct Digitised {
-    solid: Solid,
-    origin: DVec3,
-    spacing: DVec3,
+/// A digitised shape.
+pub(crate) struct Digitised {
+    pub(crate) solid: Solid,
+    pub(crate) origin: DVec3,
+    pub(crate) spacing: DVec3,
 }
 
-fn digitise(shape: impl ImplicitShape, spacing: DVec3) -> Digitised {
+impl Digitised {
+    /// World coordinates of a point in Khalimsky coordinates.
+    pub(crate) fn place(&self, k: [i32; 3]) -> DVec3 {
+        self.origin + self.spacing * (DVec3::from_array(k.map(f64::from)) - 1.0) * 0.5
+    }
+}
+
+pub(crate) fn digitise(shape: impl ImplicitShape, spacing: DVec3) -> Digitised {
     let digitisation = Digitisation::new(shape, Grid::boxes(spacing)).unwrap();
     let dims = digitisation.dims();
     let mut inside = Vec::new();
@@ -28,8 +36,15 @@ fn digitise(shape: impl ImplicitShape, spacing: DVec3) -> Digitised {
     }
 }
 
-/// Radii of the paper (section 6.1) for gridstep `h`, in voxel units of the longest edge.
+/// Measures with the radii of the paper (section 6.1) for gridstep `h`.
 fn measured(d: &Digitised, h: f64) -> (Settings, Whole) {
+    let settings = paper(d, h);
+    let whole = whole(&d.solid, &settings);
+    (settings, whole)
+}
+
+/// Settings with the radii of the paper.
+pub(crate) fn paper(d: &Digitised, h: f64) -> Settings {
     let mut settings = Settings::new(lattice(&d.solid, d.spacing.to_array(), false));
     let unit = settings.lattice.voxel_unit_world();
     let radius = 3.0 * h.sqrt() / unit;
@@ -38,17 +53,14 @@ fn measured(d: &Digitised, h: f64) -> (Settings, Whole) {
         radius,
         orientation: Orientation::Moment,
     };
-    let whole = whole(&d.solid, &settings);
-    (settings, whole)
+    settings
 }
 
 /// l2 errors of H and G against the truth at the closest point.
-fn errors(shape: &impl ImplicitShape, d: &Digitised, rows: &[FullRow]) -> [f64; 2] {
+pub(crate) fn errors(shape: &impl ImplicitShape, d: &Digitised, rows: &[FullRow]) -> [f64; 2] {
     let mut squares = [0.0; 2];
     for row in rows {
-        let k = DVec3::from_array(row.k.map(f64::from));
-        let centre = d.origin + d.spacing * (k - 1.0) * 0.5;
-        let truth = closest_point(shape, centre).unwrap().truth;
+        let truth = closest_point(shape, d.place(row.k)).unwrap().truth;
         let c = row.curvature.unwrap();
         squares[0] += (c.mean - truth.mean_curvature).powi(2);
         squares[1] += (c.gaussian - truth.gaussian_curvature).powi(2);

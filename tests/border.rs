@@ -1,6 +1,7 @@
 use std::collections::HashMap;
 
 use curvox::measure::ball::{Extent, Weights};
+use curvox::measure::field::Field;
 use curvox::normal::{Estimator, Orientation};
 use curvox::pipeline::Settings;
 use curvox::sink::Flag;
@@ -27,12 +28,18 @@ fn rows_without_the_border_flag_do_not_depend_on_the_crop() {
         radius,
         orientation: Orientation::Moment,
     };
-    for (estimator, radius) in [
-        (ii(3.0), 3.0),
-        (ii(3.0), 2.0),
-        (ii(2.0), 4.0),
-        (Estimator::SurfaceAverage { radius: 3.0 }, 3.0),
-        (Estimator::Trivial, 3.0),
+    for (estimator, radius, field) in [
+        (ii(3.0), 3.0, Field::Constant),
+        (ii(3.0), 2.0, Field::Constant),
+        (ii(2.0), 4.0, Field::Constant),
+        (
+            Estimator::SurfaceAverage { radius: 3.0 },
+            3.0,
+            Field::Constant,
+        ),
+        (Estimator::Trivial, 3.0, Field::Constant),
+        (ii(2.0), 4.0, Field::Interpolated),
+        (Estimator::Trivial, 3.0, Field::Linear),
     ] {
         for weights in [Weights::Lumped, Weights::Sharp, Weights::Dgtal] {
             for extent in [Extent::Connected, Extent::Whole] {
@@ -40,6 +47,8 @@ fn rows_without_the_border_flag_do_not_depend_on_the_crop() {
                     estimator,
                     weights,
                     extent,
+                    field,
+                    quality: true,
                     radii: vec![radius],
                     ..Settings::new(lattice(solid, [1.0; 3], false))
                 };
@@ -57,12 +66,12 @@ fn rows_without_the_border_flag_do_not_depend_on_the_crop() {
                     let j = at[&k];
                     let (a, b) = (&rows.curvatures[0], &all.curvatures[0]);
                     let bits = |c: &curvox::sink::CurvatureColumns, i: usize| {
-                        [c.mean[i], c.gaussian[i], c.k1[i], c.k2[i]].map(f32::to_bits)
+                        [c.mean[i], c.gaussian[i], c.k1[i], c.k2[i], c.quality[i]].map(f32::to_bits)
                     };
                     assert_eq!(
                         bits(a, i),
                         bits(b, j),
-                        "{k:?} {estimator:?} {weights:?} {extent:?}"
+                        "{k:?} {estimator:?} {weights:?} {extent:?} {field:?}"
                     );
                     compared += 1;
                 }

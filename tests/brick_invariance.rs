@@ -1,5 +1,6 @@
 use curvox::khalimsky::Adjacency;
 use curvox::measure::ball::Weights;
+use curvox::measure::field::Field;
 use curvox::normal::{Estimator, Orientation};
 use curvox::pipeline::Settings;
 use proptest::prelude::*;
@@ -12,9 +13,17 @@ use crate::common::{Random, bits, blob, lattice, noise, piped, tried};
 #[test]
 fn the_cut_does_not_show() {
     let solid = blob([150, 70, 90], 11);
-    for weights in [Weights::Lumped, Weights::Sharp, Weights::Dgtal] {
+    for (weights, field) in [
+        (Weights::Lumped, Field::Constant),
+        (Weights::Sharp, Field::Constant),
+        (Weights::Dgtal, Field::Constant),
+        (Weights::Lumped, Field::Interpolated),
+        (Weights::Dgtal, Field::Linear),
+    ] {
         let mut settings = Settings::new(lattice(&solid, [1.0, 1.2, 1.1], false));
         settings.weights = weights;
+        settings.field = field;
+        settings.quality = true;
         settings.radii = vec![3.0, 2.0];
         let (expected, outcome) = piped(&solid, &settings);
         let expected = bits(&expected);
@@ -31,7 +40,7 @@ fn the_cut_does_not_show() {
             let (rows, again) = piped(&solid, &settings);
             assert!(
                 bits(&rows) == expected,
-                "{weights:?} {brick:?} {memory_mib} MiB {threads} threads"
+                "{weights:?} {field:?} {brick:?} {memory_mib} MiB {threads} threads"
             );
             assert_eq!(again.cells, outcome.cells);
             assert_eq!(again.solid, outcome.solid);
@@ -51,6 +60,8 @@ proptest! {
         exterior: bool,
         which in 0usize..3,
         weights in 0usize..3,
+        field in 0usize..4,
+        quality: bool,
         brick in 8i32..30,
         threads in 1usize..8,
     ) {
@@ -65,6 +76,8 @@ proptest! {
         settings.weights = [Weights::Lumped, Weights::Sharp, Weights::Dgtal][weights];
         settings.radii = vec![2.0];
         settings.directions = true;
+        settings.field = [Field::Constant, Field::Interpolated, Field::Linear][field % 3];
+        settings.quality = quality;
         settings.threads = 1;
         let (expected, outcome) = piped(&solid, &settings);
         settings.brick = Some(brick);

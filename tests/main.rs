@@ -9,6 +9,9 @@ mod agreement;
 /// Gauss-Bonnet and Euler characteristics, in integers.
 mod topology;
 
+/// Theorems of the paper on digital surfaces.
+mod theorems;
+
 /// How a volume is cut does not show.
 mod brick_invariance;
 

@@ -1,5 +1,6 @@
 use curvox::khalimsky::Adjacency;
 use curvox::measure::cells::CellTotals;
+use curvox::measure::field::Field;
 use curvox::normal::{Estimator, Orientation};
 use curvox::pipeline::{Outcome, Settings};
 use curvox::volume::SolidCounts;
@@ -23,10 +24,11 @@ fn check(outcome: &Outcome, adjacency: Adjacency) {
     assert_eq!(cells.euler_counted(), by_solid(&outcome.solid, adjacency));
 }
 
-fn closed(solid: &Solid, adjacency: Adjacency, estimator: Estimator) -> Outcome {
+fn closed(solid: &Solid, adjacency: Adjacency, estimator: Estimator, field: Field) -> Outcome {
     let mut settings = Settings::new(lattice(solid, [1.0, 0.8, 0.9], true));
     settings.adjacency = adjacency;
     settings.estimator = estimator;
+    settings.field = field;
     settings.radii = vec![1.5];
     settings.brick = Some(8);
     piped(solid, &settings).1
@@ -42,6 +44,7 @@ proptest! {
         p in 0.02f64..0.98,
         exterior: bool,
         which in 0..4,
+        interpolated: bool,
     ) {
         let adjacency = if exterior { Adjacency::Exterior } else { Adjacency::Interior };
         let estimator = match which {
@@ -51,7 +54,8 @@ proptest! {
             _ => Estimator::SurfaceAverage { radius: 2.0 },
         };
         let solid = noise(dims, p, seed);
-        check(&closed(&solid, adjacency, estimator), adjacency);
+        let field = if interpolated { Field::Interpolated } else { Field::Constant };
+        check(&closed(&solid, adjacency, estimator, field), adjacency);
     }
 }
 
@@ -71,10 +75,12 @@ fn a_ball_has_the_euler_characteristic_of_a_sphere_and_a_torus_has_none() {
     };
     for (solid, chi) in [(ball, 2), (torus, 0)] {
         for adjacency in [Adjacency::Interior, Adjacency::Exterior] {
-            let outcome = closed(&solid, adjacency, estimator);
-            assert_eq!(outcome.cells.euler_counted(), chi);
-            assert_eq!(outcome.cells.absolute_lifts, 0);
-            check(&outcome, adjacency);
+            for field in [Field::Constant, Field::Interpolated] {
+                let outcome = closed(&solid, adjacency, estimator, field);
+                assert_eq!(outcome.cells.euler_counted(), chi);
+                assert_eq!(outcome.cells.absolute_lifts, 0);
+                check(&outcome, adjacency);
+            }
         }
     }
 }

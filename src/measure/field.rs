@@ -182,16 +182,7 @@ pub(super) fn evaluate(
             out.omega.push(omega);
         }
         let [xx, yy, zz, xy, xz, yz] = tensor;
-        let lump: Lumped = [
-            mu0,
-            xx,
-            yy,
-            zz,
-            xy,
-            xz,
-            yz,
-            fixed::lumped_share(mu2, 1),
-        ];
+        let lump: Lumped = [mu0, xx, yy, zz, xy, xz, yz, fixed::lumped_share(mu2, 1)];
         out.lumped.push(lump);
         let mark = &mut out.marks[core.of[i] as usize];
         if mu0 <= 0 {

@@ -224,9 +224,7 @@ mod tests {
     /// The same nodes, on `n` x `n` parts of the square.
     fn refined(patch: &Patch, n: usize) -> PatchMeasures {
         let nodes: Vec<_> = (0..n)
-            .flat_map(|i| {
-                GAUSS_4.map(|(s, weight)| ((i as f64 + s) / n as f64, weight / n as f64))
-            })
+            .flat_map(|i| GAUSS_4.map(|(s, weight)| ((i as f64 + s) / n as f64, weight / n as f64)))
             .collect();
         patch.integrate(&nodes, normalised)
     }

@@ -128,16 +128,31 @@ pub(crate) fn asked(settings: &Settings) -> Asked {
 }
 
 pub(crate) fn whole(solid: &Solid, settings: &Settings) -> Whole {
-    let lattice = &settings.lattice;
-    let window = window(solid);
+    whole_with(solid, settings, None)
+}
+
+/// The boundary of a solid as a single brick.
+pub(crate) fn surface(solid: &Solid, settings: &Settings) -> (Surface, CellBox) {
     let core = CellBox {
         lo: [0; 3],
-        hi: lattice.cell_dims(),
+        hi: settings.lattice.cell_dims(),
     };
-    let surface = Surface::extract(&window, core, lattice, settings.adjacency);
-    let normals = NormalKernel::new(settings.estimator, lattice, settings.adjacency)
+    let window = window(solid);
+    let surface = Surface::extract(&window, core, &settings.lattice, settings.adjacency);
+    (surface, core)
+}
+
+/// The same with these normals instead of estimated ones, if they are given.
+pub(crate) fn whole_with(solid: &Solid, settings: &Settings, given: Option<&[DVec3]>) -> Whole {
+    let lattice = &settings.lattice;
+    let window = window(solid);
+    let (surface, core) = surface(solid, settings);
+    let mut normals = NormalKernel::new(settings.estimator, lattice, settings.adjacency)
         .unwrap()
         .estimate(&window, lattice, core, &surface.surfels);
+    if let Some(given) = given {
+        normals.u = given.to_vec();
+    }
     let marks: Vec<u8> = normals
         .degenerate
         .iter()

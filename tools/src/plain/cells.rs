@@ -17,8 +17,10 @@
 use std::f64::consts::FRAC_PI_2;
 
 use super::algebra::{Symmetric, Vector, dot};
+use super::field::{self, Field};
 use super::formula::{linel_tensor, swept_area};
 use super::solid::Scale;
+use super::sums::FixedSums;
 use super::surface::{OPEN, Surface};
 
 /// mu0 and tensors are integers times this.
@@ -43,10 +45,36 @@ pub struct Cells {
     pub mu2: Vec<i64>,
     /// The lift k of each umbrella: not 0 where the corrected normals turn too far.
     pub lift: Vec<i64>,
+    /// mu_Omega of each linel sheet; 0 on the border of the image.
+    pub omega: Vec<i64>,
+    /// Half of it, rounded by itself.
+    pub half_omega: Vec<i64>,
+    /// With a continuous field, all measures of each surfel; those above but mu0 are then 0.
+    pub of_surfels: Option<Vec<FixedSums>>,
 }
 
 impl Cells {
-    /// The measures of all cells of `surface` with corrected normals `u`.
+    /// The measures of all cells of `surface` with corrected normals `u`, constant on each surfel or
+    /// interpolated between pointels.
+    pub fn with_field(surface: &Surface, u: &[Vector], scale: &Scale, field: Field) -> Self {
+        if field == Field::Constant {
+            return Cells::new(surface, u, scale);
+        }
+        let of_surfels = field::measures(surface, u, scale, field);
+        let (linels, umbrellas) = (surface.sheets.len(), surface.umbrella_count());
+        Cells {
+            mu0: of_surfels.iter().map(|m| m.mu0).collect(),
+            tensor: vec![[0; 6]; linels],
+            half_tensor: vec![[0; 6]; linels],
+            mu2: vec![0; umbrellas],
+            lift: vec![0; umbrellas],
+            omega: vec![0; linels],
+            half_omega: vec![0; linels],
+            of_surfels: Some(of_surfels),
+        }
+    }
+
+    /// The measures of all cells of `surface` with corrected normals `u`, constant on each surfel.
     pub fn new(surface: &Surface, u: &[Vector], scale: &Scale) -> Self {
         let mut cells = Cells {
             mu0: Vec::with_capacity(surface.len()),
@@ -54,6 +82,9 @@ impl Cells {
             half_tensor: Vec::with_capacity(surface.sheets.len()),
             mu2: Vec::with_capacity(surface.umbrella_count()),
             lift: Vec::with_capacity(surface.umbrella_count()),
+            omega: Vec::with_capacity(surface.sheets.len()),
+            half_omega: Vec::with_capacity(surface.sheets.len()),
+            of_surfels: None,
         };
         for (surfel, &u) in surface.surfels.iter().zip(u) {
             cells
@@ -65,6 +96,8 @@ impl Cells {
             if sheet.second == OPEN {
                 cells.tensor.push([0; 6]);
                 cells.half_tensor.push([0; 6]);
+                cells.omega.push(0);
+                cells.half_omega.push(0);
                 swept.push(0);
                 continue;
             }
@@ -77,6 +110,9 @@ impl Cells {
             let tensor: Symmetric = linel_tensor(e, u_f, u_g).map(|m| m * length);
             cells.tensor.push(tensor.map(in_units));
             cells.half_tensor.push(tensor.map(|m| in_units(0.5 * m)));
+            let omega = length * (dot(e, u_f) - dot(e, u_g));
+            cells.omega.push(in_units(omega));
+            cells.half_omega.push(in_units(0.5 * omega));
             swept.push((swept_area(f.normal(), g.normal(), u_g, u_f) / MU2_UNIT).round() as i64);
         }
         for umbrella in 0..surface.umbrella_count() as u32 {
@@ -89,7 +125,7 @@ impl Cells {
 }
 
 /// Areas of half the sphere up to this much more count as half the sphere, in units of mu2.
-const HALF_SPHERE_SLACK: i64 = 1 << 16;
+pub(super) const HALF_SPHERE_SLACK: i64 = 1 << 16;
 
 /// mu2 and the lift k of an umbrella.
 fn umbrella_mu2(surface: &Surface, umbrella: u32, swept: &[i64]) -> (i64, i64) {

@@ -18,6 +18,8 @@ pub struct Curvature {
     pub d1: Vector,
     /// Unit direction of k2, up to sign.
     pub d2: Vector,
+    /// mu_Omega / mu0: 0 if u is the normal field of a surface.
+    pub quality: f64,
 }
 
 impl Curvature {
@@ -35,6 +37,7 @@ impl Curvature {
                 k2: nan,
                 d1: [nan; 3],
                 d2: [nan; 3],
+                quality: nan,
             };
         }
         let far = -1000.0 * sums.mu0;
@@ -57,6 +60,7 @@ impl Curvature {
             k2: values[second] / sums.mu0 / unit_world,
             d1: vectors[first],
             d2: vectors[second],
+            quality: sums.omega / sums.mu0 / unit_world,
         }
     }
 }

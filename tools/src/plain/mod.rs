@@ -6,12 +6,13 @@
 //! cell measures are exact, except with DGtal's fractional weights. Not guaranteed: speed, small
 //! memory, or the last bit of `u` and of the formulas, which use the platform's `sqrt` and `atan2`.
 //!
-//! [`solid`] -> [`surface`] -> [`normals`] -> [`cells`] (by [`formula`]) -> [`sums`] (over a
+//! [`solid`] -> [`surface`] -> [`normals`] -> [`cells`] (by [`formula`] or [`field`]) -> [`sums`] (over a
 //! [`walk`]) -> [`curvature`]; and [`totals`]. Each step is public, to be tested and timed alone.
 
 pub mod algebra;
 pub mod cells;
 pub mod curvature;
+pub mod field;
 pub mod formula;
 pub mod normals;
 pub mod solid;
@@ -22,6 +23,7 @@ pub mod walk;
 
 pub use cells::Cells;
 pub use curvature::Curvature;
+pub use field::Field;
 pub use normals::{Estimator, Normals, Orientation};
 pub use solid::{Scale, Solid};
 pub use sums::{Ball, BallKind, FixedSums, Sums, Weights};
@@ -43,6 +45,8 @@ pub struct Settings {
     pub adjacency: Adjacency,
     /// The corrected normals.
     pub normals: Estimator,
+    /// How the normals go on over the surface.
+    pub field: Field,
     /// Radius rho of the ball of the measures.
     pub rho_world: f64,
     /// Which cells of the ball count, and how much.
@@ -65,6 +69,7 @@ impl Settings {
                 radius_world,
                 orientation: Orientation::Moment,
             },
+            field: Field::Constant,
             rho_world: radius_world,
             weights: Weights::Sharp,
             ball: BallKind::Connected,
@@ -84,7 +89,7 @@ pub struct Flags {
     pub island: bool,
     /// <u, n> <= 0.
     pub reversed: bool,
-    /// An umbrella of this surfel has a lift: k != 0.
+    /// An umbrella of this surfel has a lift: k != 0; never with a continuous field.
     pub lift: bool,
     /// u is the trivial normal for want of anything better.
     pub degenerate: bool,
@@ -132,7 +137,7 @@ pub fn analyse(solid: &Solid, settings: &Settings) -> Analysis {
     let scale = Scale::new(settings.spacing_world);
     let surface = Surface::new(solid, settings.closed, settings.adjacency);
     let normals = normals::estimate(solid, &surface, &scale, settings.normals);
-    let cells = Cells::new(&surface, &normals.u, &scale);
+    let cells = Cells::with_field(&surface, &normals.u, &scale, settings.field);
     let rows = measure(&surface, &normals, &cells, &scale, settings);
     let totals = Totals::new(solid, &surface, &cells);
     Analysis {

@@ -34,6 +34,8 @@ pub struct Sums {
     pub tensor: [f64; 6],
     /// Corrected Gaussian curvature integral.
     pub mu2: f64,
+    /// mu_Omega.
+    pub omega: f64,
 }
 
 impl Sums {
@@ -43,7 +45,7 @@ impl Sums {
     }
 }
 
-/// The same sums, exact: integers times `UNIT`, `UNIT`, `MU2_UNIT`.
+/// The same sums, exact: integers times `UNIT`, for mu2 `MU2_UNIT`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FixedSums {
     /// Corrected area.
@@ -52,6 +54,8 @@ pub struct FixedSums {
     pub tensor: [i64; 6],
     /// Corrected Gaussian curvature integral.
     pub mu2: i64,
+    /// mu_Omega.
+    pub omega: i64,
 }
 
 impl From<FixedSums> for Sums {
@@ -61,6 +65,7 @@ impl From<FixedSums> for Sums {
             mu0: fixed.mu0 as f64 * UNIT,
             tensor: fixed.tensor.map(|m| m as f64 * UNIT),
             mu2: fixed.mu2 as f64 * MU2_UNIT,
+            omega: fixed.omega as f64 * UNIT,
         }
     }
 }
@@ -113,12 +118,47 @@ impl Ball {
         walk: &Walk,
         centre: u32,
     ) -> (Sums, Option<FixedSums>) {
+        if let Some(of_surfels) = &cells.of_surfels {
+            return self.sum_of_surfels(surface, of_surfels, walk, centre);
+        }
         let fixed = match self.weights {
             Weights::Sharp => sharp(surface, cells, walk),
             Weights::Lumped => lumped(surface, cells, walk),
             Weights::Dgtal => return (self.shares(surface, cells, walk, centre), None),
         };
         (fixed.into(), Some(fixed))
+    }
+
+    /// The sums where all measures lie on surfels: a member counts wholly, or by DGtal's share.
+    fn sum_of_surfels(
+        &self,
+        surface: &Surface,
+        of_surfels: &[FixedSums],
+        walk: &Walk,
+        centre: u32,
+    ) -> (Sums, Option<FixedSums>) {
+        let (mut sums, mut fixed) = (Sums::default(), FixedSums::default());
+        for &f in &walk.members {
+            let own = &of_surfels[f as usize];
+            if self.weights == Weights::Dgtal {
+                let share = self.surfel_share(surface, centre, f);
+                let own = Sums::from(*own);
+                sums.mu0 += share * own.mu0;
+                (0..6).for_each(|e| sums.tensor[e] += share * own.tensor[e]);
+                sums.mu2 += share * own.mu2;
+                sums.omega += share * own.omega;
+            } else {
+                fixed.mu0 += own.mu0;
+                add(&mut fixed.tensor, own.tensor);
+                fixed.mu2 += own.mu2;
+                fixed.omega += own.omega;
+            }
+        }
+        if self.weights == Weights::Dgtal {
+            (sums, None)
+        } else {
+            (fixed.into(), Some(fixed))
+        }
     }
 
     /// DGtal's sums. An edge or vertex of a counted face counts once, by its own share.
@@ -137,8 +177,10 @@ impl Ball {
                 let middle = surfel.linel(side);
                 let from_middle = |sign: i32| [0, 1, 2].map(|a| middle[a] + sign * along[a]);
                 let share = self.share(surface, centre, &[middle, from_middle(-1), from_middle(1)]);
-                let tensor = cells.tensor[surface.sheets_of[f as usize][side] as usize];
+                let sheet = surface.sheets_of[f as usize][side] as usize;
+                let tensor = cells.tensor[sheet];
                 (0..6).for_each(|e| sums.tensor[e] += share * (tensor[e] as f64 * UNIT));
+                sums.omega += share * (cells.omega[sheet] as f64 * UNIT);
             }
             for corner in 0..4 {
                 let umbrella = surface.umbrellas_of[f as usize][corner];
@@ -200,10 +242,9 @@ fn sharp(surface: &Surface, cells: &Cells, walk: &Walk) -> FixedSums {
             // Both surfels see the linel: the first adds it.
             let g = surface.neighbours[f as usize][side];
             if g != OPEN && g > f && walk.has(g) {
-                add(
-                    &mut sums.tensor,
-                    cells.tensor[surface.sheets_of[f as usize][side] as usize],
-                );
+                let sheet = surface.sheets_of[f as usize][side] as usize;
+                add(&mut sums.tensor, cells.tensor[sheet]);
+                sums.omega += cells.omega[sheet];
             }
         }
         for umbrella in surface.umbrellas_of[f as usize] {
@@ -226,6 +267,7 @@ fn lumped(surface: &Surface, cells: &Cells, walk: &Walk) -> FixedSums {
         sums.mu0 += cells.mu0[f as usize];
         for sheet in surface.sheets_of[f as usize] {
             add(&mut sums.tensor, cells.half_tensor[sheet as usize]);
+            sums.omega += cells.half_omega[sheet as usize];
         }
         for umbrella in surface.umbrellas_of[f as usize] {
             let degree = surface.umbrella(umbrella).len() as i64;

@@ -30,6 +30,8 @@ pub struct Totals {
 impl Totals {
     /// The totals of a surface and of the solid it bounds.
     pub fn new(solid: &Solid, surface: &Surface, cells: &Cells) -> Self {
+        let of_surfels = || cells.of_surfels.iter().flatten();
+        let trace = |m: &[i64; 6]| m[..3].iter().map(|&d| i128::from(d)).sum::<i128>();
         Totals {
             surfels: surface.len() as i64,
             linels: surface.sheets.len() as i64,
@@ -38,9 +40,15 @@ impl Totals {
             mu1: cells
                 .tensor
                 .iter()
-                .map(|m| m[..3].iter().map(|&d| i128::from(d)).sum::<i128>())
+                .chain(of_surfels().map(|m| &m.tensor))
+                .map(trace)
                 .sum(),
-            mu2: cells.mu2.iter().map(|&m| i128::from(m)).sum(),
+            mu2: cells
+                .mu2
+                .iter()
+                .chain(of_surfels().map(|m| &m.mu2))
+                .map(|&m| i128::from(m))
+                .sum(),
             lifts: cells.lift.iter().sum(),
             absolute_lifts: cells.lift.iter().map(|k| k.abs()).sum(),
             solid: SolidTotals::new(solid),
