@@ -8,10 +8,10 @@ use std::time::Instant;
 use anyhow::{Context, Result, ensure};
 use clap::Args;
 
-use super::convergence;
 use super::page::{self, Section};
 use super::runs::{Run, Runner};
 use super::study::{Results, Study, Volume, run_all};
+use super::{convergence, directions, noise, pictures, stability, times};
 
 /// The finest gridstep of a quick run.
 const QUICK: f64 = 0.25;
@@ -46,14 +46,74 @@ const FIGURES: &[Figure] = &[
         section: convergence::comparison_mean,
     },
     Figure {
+        numbers: &[9],
+        runs: pictures::accuracy_runs,
+        section: pictures::accuracy_mean,
+    },
+    Figure {
+        numbers: &[10],
+        runs: stability::runs,
+        section: stability::section,
+    },
+    Figure {
+        numbers: &[11],
+        runs: pictures::first_runs,
+        section: pictures::first_mean,
+    },
+    Figure {
+        numbers: &[12],
+        runs: pictures::second_runs,
+        section: pictures::second_mean,
+    },
+    Figure {
+        numbers: &[13],
+        runs: noise::picture_runs,
+        section: noise::pictures_mean,
+    },
+    Figure {
         numbers: &[14],
         runs: convergence::comparison_runs,
         section: convergence::comparison_gaussian,
     },
     Figure {
+        numbers: &[15],
+        runs: pictures::accuracy_runs,
+        section: pictures::accuracy_gaussian,
+    },
+    Figure {
+        numbers: &[16],
+        runs: pictures::first_runs,
+        section: pictures::first_gaussian,
+    },
+    Figure {
+        numbers: &[17],
+        runs: pictures::second_runs,
+        section: pictures::second_gaussian,
+    },
+    Figure {
+        numbers: &[18],
+        runs: noise::picture_runs,
+        section: noise::pictures_gaussian,
+    },
+    Figure {
+        numbers: &[19],
+        runs: times::runs,
+        section: times::section,
+    },
+    Figure {
+        numbers: &[20],
+        runs: directions::runs,
+        section: directions::section,
+    },
+    Figure {
         numbers: &[],
         runs: convergence::others_runs,
         section: convergence::others,
+    },
+    Figure {
+        numbers: &[],
+        runs: noise::error_runs,
+        section: noise::errors,
     },
 ];
 
@@ -91,7 +151,8 @@ impl FromStr for Volume {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let wrong = || format!("found {text:?}, expected NAME=PATH:H as in dragon=dragon-256.vol:1");
+        let wrong =
+            || format!("found {text:?}, expected NAME=PATH:H as in dragon=dragon-256.vol:1");
         let (name, rest) = text.split_once('=').ok_or_else(wrong)?;
         let (path, gridstep) = rest.rsplit_once(':').ok_or_else(wrong)?;
         let gridstep: f64 = gridstep.parse().map_err(|_| wrong())?;
@@ -113,7 +174,9 @@ impl PaperArgs {
     /// If an option does not fit, a run fails, or a file cannot be written.
     pub fn run(self) -> Result<()> {
         let started = Instant::now();
-        let finest = self.finest.unwrap_or(if self.quick { QUICK } else { 0.03125 });
+        let finest = self
+            .finest
+            .unwrap_or(if self.quick { QUICK } else { 0.03125 });
         ensure!(
             (1e-3..=1.0).contains(&finest),
             "finest gridstep: found {finest}, expected 0.001 to 1"
@@ -127,7 +190,10 @@ impl PaperArgs {
         }
         for volume in &self.volume {
             let path = volume.path.display();
-            ensure!(volume.path.is_file(), "{path}: expected a volume, found no file");
+            ensure!(
+                volume.path.is_file(),
+                "{path}: expected a volume, found no file"
+            );
         }
         let chosen: Vec<&Figure> = FIGURES
             .iter()
@@ -146,7 +212,10 @@ impl PaperArgs {
             Some(jobs) => jobs.into(),
             None => std::thread::available_parallelism().map_or(1, usize::from),
         };
-        let wanted = chosen.iter().flat_map(|figure| (figure.runs)(&study)).collect();
+        let wanted = chosen
+            .iter()
+            .flat_map(|figure| (figure.runs)(&study))
+            .collect();
         let results = run_all(&runner, wanted, workers)?;
         let mut sections = Vec::new();
         for figure in chosen {

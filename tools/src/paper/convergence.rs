@@ -6,7 +6,7 @@ use anyhow::Result;
 
 use super::dgtal::{self, Quantity};
 use super::page::{self, ErrorTable, Section, Table, compared, gridstep, slope};
-use super::plot::{Line, Panel, REFERENCE, svg};
+use super::plot::{Axis, Line, Panel, REFERENCE, svg};
 use super::rows::Errors;
 use super::runs::{Estimator, Method, Run};
 use super::slopes::{Curve, Norm, exponent, last_three};
@@ -57,7 +57,8 @@ fn goursat(study: &Study, method: impl Fn(f64) -> Method) -> Vec<Run> {
     steps.map(|h| Run::shape(GOURSAT, h, method(h))).collect()
 }
 
-fn of_paper(study: &Study, estimator: Estimator) -> Vec<Run> {
+/// The radii of section 6.1 at every gridstep.
+pub fn of_paper(study: &Study, estimator: Estimator) -> Vec<Run> {
     goursat(study, |h| Method::of_paper(estimator, h))
 }
 
@@ -132,15 +133,17 @@ fn powers(curves: &[Curve], exponents: &[(f64, &str)]) -> Vec<Line> {
 }
 
 fn panel(title: &str, y: &str, curves: &[(Curve, usize)], exponents: &[(f64, &str)]) -> Panel {
-    let mut all: Vec<Line> = curves.iter().flat_map(|(c, colour)| lines(c, *colour)).collect();
+    let mut all: Vec<Line> = curves
+        .iter()
+        .flat_map(|(c, colour)| lines(c, *colour))
+        .collect();
     let only: Vec<Curve> = curves.iter().map(|(c, _)| c.clone()).collect();
     all.extend(powers(&only, exponents));
     Panel {
         title: title.into(),
         x: "gridstep h".into(),
         y: y.into(),
-        x_falls: false,
-        x_logarithmic: true,
+        x_axis: Axis::Gridstep,
         lines: all,
     }
 }
@@ -163,8 +166,12 @@ pub fn lipschitz_runs(study: &Study) -> Vec<Run> {
 pub fn lipschitz(study: &Study, results: &Results) -> Result<Section> {
     let mut table = Table::new(&["normals"]);
     let steps = study.gridsteps(0.0);
-    table.header.extend(steps.iter().map(|&h| format!("h = {}", gridstep(h))));
-    table.header.extend(["slope".into(), "slope, last 3".into()]);
+    table
+        .header
+        .extend(steps.iter().map(|&h| format!("h = {}", gridstep(h))));
+    table
+        .header
+        .extend(["slope".into(), "slope, last 3".into()]);
     let mut csv = Table::new(&["normals", "gridstep", "delta_u"]);
     let mut finding = Vec::new();
     let mut lines = Vec::new();
@@ -191,7 +198,8 @@ pub fn lipschitz(study: &Study, results: &Results) -> Result<Section> {
         row.extend([slope(exponent(&points)), slope(last_three(&points))]);
         table.rows.push(row);
         for &(h, delta) in &points {
-            csv.rows.push(vec![name.into(), page::full(h), page::full(delta)]);
+            csv.rows
+                .push(vec![name.into(), page::full(h), page::full(delta)]);
         }
         finding.push(match exponent(&points) {
             // The least square of a few noisy points is not better known than this.
@@ -209,7 +217,11 @@ pub fn lipschitz(study: &Study, results: &Results) -> Result<Section> {
             points,
         });
     }
-    let top = lines.iter().flat_map(|l| &l.points).map(|p| p.1).fold(0.0, f64::max);
+    let top = lines
+        .iter()
+        .flat_map(|l| &l.points)
+        .map(|p| p.1)
+        .fold(0.0, f64::max);
     let ends = [study.gridsteps(0.0).last().copied().unwrap_or(1.0), 1.0];
     lines.push(Line {
         name: "h".into(),
@@ -222,8 +234,7 @@ pub fn lipschitz(study: &Study, results: &Results) -> Result<Section> {
         title: "Goursat: largest jump of u between neighbours".into(),
         x: "gridstep h".into(),
         y: "delta_u".into(),
-        x_falls: false,
-        x_logarithmic: true,
+        x_axis: Axis::Gridstep,
         lines,
     }])?;
     page::write(&study.folder, "figure04.svg", drawn)?;
@@ -273,7 +284,12 @@ fn exponents(
     ];
     let file = format!("figure{figure:02}");
     let title = format!("Goursat: error of {letter}");
-    let drawn = svg(&[panel(&title, &format!("error of {letter}"), &curves, &POWERS)])?;
+    let drawn = svg(&[panel(
+        &title,
+        &format!("error of {letter}"),
+        &curves,
+        &POWERS,
+    )])?;
     page::write(&study.folder, &format!("{file}.svg"), drawn)?;
     let only = curves.map(|(c, _)| c);
     let errors = ErrorTable {
@@ -373,7 +389,11 @@ pub fn dgtal_of(curvature: Curvature) -> impl Fn(&str, f64, Norm) -> Option<f64>
             PLAIN_THIRD => [Quantity::MeanPlain, Quantity::GaussianPlain],
             _ => return None,
         };
-        let quantity = if curvature == Curvature::Mean { mean } else { gaussian };
+        let quantity = if curvature == Curvature::Mean {
+            mean
+        } else {
+            gaussian
+        };
         dgtal::error(quantity, h, norm)
     }
 }
@@ -438,7 +458,9 @@ fn comparison(
         ));
     }
     Ok(Section {
-        title: format!("Figure {figure}: {letter} by normals, and against plain integral invariants"),
+        title: format!(
+            "Figure {figure}: {letter} by normals, and against plain integral invariants"
+        ),
         paper: format!(
             "{letter} converges like h^(2/3) with II and with VCM normals; the normal cycle does not converge; \
              plain integral invariants converge like h^(1/3) with r' = 6 h^(1/3), and not at all with \
@@ -461,7 +483,11 @@ fn comparison(
 
 /// Shapes other than Goursat's.
 pub fn others_runs(study: &Study) -> Vec<Run> {
-    let shapes = if study.quick { &OTHERS[..2] } else { &OTHERS[..] };
+    let shapes = if study.quick {
+        &OTHERS[..2]
+    } else {
+        &OTHERS[..]
+    };
     let mut runs = Vec::new();
     for shape in shapes {
         for h in study.gridsteps(FINEST_OTHERS) {
@@ -488,9 +514,7 @@ pub fn others(study: &Study, results: &Results) -> Result<Section> {
             for shape in OTHERS {
                 let of_shape: Vec<Run> = runs
                     .iter()
-                    .filter(|run| {
-                        run.solid_name() == shape && run.method.estimator == estimator
-                    })
+                    .filter(|run| run.solid_name() == shape && run.method.estimator == estimator)
                     .cloned()
                     .collect();
                 let name = format!("{shape}, {}", estimator.name());
@@ -508,7 +532,12 @@ pub fn others(study: &Study, results: &Results) -> Result<Section> {
             .map(|(i, c)| (c, i))
             .collect();
         let title = format!("other shapes: error of {letter}, u = II");
-        panels.push(panel(&title, &format!("error of {letter}"), &drawn, &POWERS));
+        panels.push(panel(
+            &title,
+            &format!("error of {letter}"),
+            &drawn,
+            &POWERS,
+        ));
         for (curve, _) in &drawn {
             if let Some(b) = exponent(&curve.norms(Norm::L2)) {
                 if flattest.as_ref().is_none_or(|(least, _)| b < *least) {
@@ -525,13 +554,19 @@ pub fn others(study: &Study, results: &Results) -> Result<Section> {
             let first = if csv.is_empty() { "curvature" } else { letter };
             let _ = writeln!(csv, "{first},{line}");
         }
-        let _ = write!(body, "Errors of {letter}:\n\n{}\n", errors.table().markdown());
+        let _ = write!(
+            body,
+            "Errors of {letter}:\n\n{}\n",
+            errors.table().markdown()
+        );
     }
     page::write(&study.folder, "shapes.svg", svg(&panels)?)?;
     page::write(&study.folder, "shapes.csv", csv)?;
     let finding = match flattest {
         Some((b, what)) if b > 0.12 => {
-            format!("errors fall on every shape; least steep in l2 is {what}, with slope {b:.2}.")
+            format!(
+                "with u = ii the l2 error falls on every shape; least steep is {what}, with slope {b:.2}."
+            )
         }
         Some((b, what)) => format!("the l2 error of {what} does not fall (slope {b:.2})."),
         None => "too few gridsteps for slopes.".into(),

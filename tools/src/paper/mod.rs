@@ -14,6 +14,7 @@
 //! * [`rows`] reads their tables and measures errors against the truth at the closest point.
 //! * [`study`] says what is asked, and makes all runs, several at a time.
 //! * [`slopes`] fits exponents, [`dgtal`] holds DGtal's numbers, [`plot`] and [`page`] draw and write.
+//! * [`subjects`] are digital shapes to look at, [`drawing`] colours them.
 //! * The other modules each make a group of figures: they name the runs they want, and turn
 //!   what was measured into a [`page::Section`].
 //!
@@ -21,14 +22,22 @@
 //! could not be run is said, with the reason. Stopped at any moment, it goes on where it was. Not
 //! guaranteed: times, which are those of the machine at that moment.
 
-pub mod convergence;
 pub mod dgtal;
+pub mod drawing;
 pub mod page;
 pub mod plot;
 pub mod rows;
 pub mod runs;
 pub mod slopes;
 pub mod study;
+pub mod subjects;
+
+pub mod convergence;
+pub mod directions;
+pub mod noise;
+pub mod pictures;
+pub mod stability;
+pub mod times;
 
 mod command;
 

@@ -117,7 +117,9 @@ pub fn compared(found: Option<f64>, expected: f64, paper: &str) -> String {
     const SAME: f64 = 0.12;
     match found {
         None => "too few gridsteps for a slope".into(),
-        Some(b) if b > expected + SAME => format!("slope {b:.2}, steeper than the {paper} of the paper"),
+        Some(b) if b > expected + SAME => {
+            format!("slope {b:.2}, steeper than the {paper} of the paper")
+        }
         Some(b) if b >= expected - SAME => format!("slope {b:.2}, the {paper} of the paper"),
         Some(b) if b > SAME => format!("slope {b:.2}, less steep than the {paper} of the paper"),
         Some(b) => format!("slope {b:.2}: the error does not fall"),
@@ -145,8 +147,12 @@ impl ErrorTable<'_> {
     pub fn table(&self) -> Table {
         let mut table = Table::new(&["estimator", "norm", ""]);
         let steps = self.gridsteps.iter();
-        table.header.extend(steps.map(|&h| format!("h = {}", gridstep(h))));
-        table.header.extend(["slope".into(), "slope, last 3".into()]);
+        table
+            .header
+            .extend(steps.map(|&h| format!("h = {}", gridstep(h))));
+        table
+            .header
+            .extend(["slope".into(), "slope, last 3".into()]);
         for curve in self.curves {
             for norm in Norm::BOTH {
                 let ours = curve.norms(norm);
@@ -169,7 +175,11 @@ impl ErrorTable<'_> {
                 let mut row = label("ratio");
                 row.extend(self.gridsteps.iter().map(|&h| {
                     let ratio = at(&ours, h) / at(&theirs, h);
-                    if ratio.is_finite() { format!("{ratio:.2}") } else { "-".into() }
+                    if ratio.is_finite() {
+                        format!("{ratio:.2}")
+                    } else {
+                        "-".into()
+                    }
                 }));
                 row.extend([String::new(), String::new()]);
                 table.rows.push(row);
@@ -210,7 +220,8 @@ pub fn write(folder: &Path, name: &str, contents: impl AsRef<[u8]>) -> Result<()
 
 /// The page as Markdown.
 pub fn markdown(introduction: &str, sections: &[Section]) -> String {
-    let mut text = String::from("# The experiments of *Corrected curvature measures*, run with curvox\n\n");
+    let mut text =
+        String::from("# The experiments of *Corrected curvature measures*, run with curvox\n\n");
     text.push_str(introduction);
     text.push_str("\n## In short\n\n");
     let mut short = Table::new(&["", "what curvox finds"]);

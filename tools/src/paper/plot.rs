@@ -44,6 +44,18 @@ pub struct Line {
     pub points: Vec<(f64, f64)>,
 }
 
+/// How x is marked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Axis {
+    /// In logarithms, with a mark at 1, 2, 5 of each decade.
+    Logarithmic,
+    /// In logarithms, with a mark at each half of the last: 1, 0.5, 0.25. Fine gridsteps are to the
+    /// left, as in the paper.
+    Gridstep,
+    /// As it is.
+    Linear,
+}
+
 /// Coordinates with axes.
 #[derive(Clone, Debug)]
 pub struct Panel {
@@ -53,10 +65,8 @@ pub struct Panel {
     pub x: String,
     /// Beside the panel.
     pub y: String,
-    /// Whether x falls from left to right, as gridsteps of the paper do not.
-    pub x_falls: bool,
-    /// Whether x is logarithmic; y always is.
-    pub x_logarithmic: bool,
+    /// The axis of x; that of y is logarithmic.
+    pub x_axis: Axis,
     /// The lines.
     pub lines: Vec<Line>,
 }
@@ -66,12 +76,12 @@ struct Scale {
     low: f64,
     high: f64,
     logarithmic: bool,
-    falls: bool,
     marks: Vec<f64>,
 }
 
 impl Scale {
-    fn of(values: impl Iterator<Item = f64>, logarithmic: bool, falls: bool) -> Self {
+    fn of(values: impl Iterator<Item = f64>, axis: Axis) -> Self {
+        let logarithmic = axis != Axis::Linear;
         let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
         for value in values.filter(|v| v.is_finite()) {
             low = low.min(value);
@@ -87,27 +97,28 @@ impl Scale {
             let room = (0.04 * (high - low)).max(1e-9);
             (low, high) = (low - room, high + room);
         }
-        let marks = if logarithmic {
-            logarithmic_marks(low, high)
-        } else {
-            linear_marks(low, high)
+        let marks = match axis {
+            Axis::Logarithmic => logarithmic_marks(low, high),
+            Axis::Gridstep => (-30..=30)
+                .map(|i| 2_f64.powi(i))
+                .filter(|mark| (low..=high).contains(mark))
+                .collect(),
+            Axis::Linear => linear_marks(low, high),
         };
         Scale {
             low,
             high,
             logarithmic,
-            falls,
             marks,
         }
     }
 
     fn share(&self, value: f64) -> f64 {
-        let share = if self.logarithmic {
+        if self.logarithmic {
             libm::log(value / self.low) / libm::log(self.high / self.low)
         } else {
             (value - self.low) / (self.high - self.low)
-        };
-        if self.falls { 1.0 - share } else { share }
+        }
     }
 }
 
@@ -115,7 +126,11 @@ impl Scale {
 fn logarithmic_marks(low: f64, high: f64) -> Vec<f64> {
     let (first, last) = (libm::log10(low).floor(), libm::log10(high).ceil());
     let decades = (last - first) as i32;
-    let steps: &[f64] = if decades > 4 { &[1.0] } else { &[1.0, 2.0, 5.0] };
+    let steps: &[f64] = if decades > 4 {
+        &[1.0]
+    } else {
+        &[1.0, 2.0, 5.0]
+    };
     (0..=decades.clamp(0, 60))
         .flat_map(|i| {
             let decade = 10_f64.powi(first as i32 + i);
@@ -213,7 +228,7 @@ fn style(line: &Line) -> ShapeStyle {
 
 fn draw_panel(area: &Area, panel: &Panel) -> Result<()> {
     let is_shown = |&(x, y): &(f64, f64)| {
-        y > 0.0 && y.is_finite() && x.is_finite() && (x > 0.0 || !panel.x_logarithmic)
+        y > 0.0 && y.is_finite() && x.is_finite() && (x > 0.0 || panel.x_axis == Axis::Linear)
     };
     let shown: Vec<(&Line, Vec<(f64, f64)>)> = panel
         .lines
@@ -221,8 +236,8 @@ fn draw_panel(area: &Area, panel: &Panel) -> Result<()> {
         .map(|line| (line, line.points.iter().copied().filter(is_shown).collect()))
         .collect();
     let all = || shown.iter().flat_map(|(_, points)| points.iter().copied());
-    let x = Scale::of(all().map(|p| p.0), panel.x_logarithmic, panel.x_falls);
-    let y = Scale::of(all().map(|p| p.1), true, false);
+    let x = Scale::of(all().map(|p| p.0), panel.x_axis);
+    let y = Scale::of(all().map(|p| p.1), Axis::Logarithmic);
     let mut chart = ChartBuilder::on(area)
         .caption(&panel.title, (FONT, 24))
         .margin(12)
@@ -278,7 +293,8 @@ fn draw_legend(area: &Area, panels: &[Panel]) -> Result<()> {
                 area.draw(&dash).map_err(drawing)?;
             }
         } else {
-            area.draw(&PathElement::new(ends, style(line))).map_err(drawing)?;
+            area.draw(&PathElement::new(ends, style(line)))
+                .map_err(drawing)?;
         }
         let label = Text::new(line.name.clone(), (62, y - 9), (FONT, 19));
         area.draw(&label).map_err(drawing)?;
@@ -315,12 +331,24 @@ pub fn heat_maps(maps: &[HeatMap], columns: usize) -> Result<String> {
     let rows = maps.len().div_ceil(columns);
     let mut text = String::new();
     {
-        let whole = (size[0] as u32 * columns as u32, size[1] as u32 * rows as u32);
+        let whole = (
+            size[0] as u32 * columns as u32,
+            size[1] as u32 * rows as u32,
+        );
         let root = SVGBackend::with_string(&mut text, whole).into_drawing_area();
         root.fill(&WHITE).map_err(drawing)?;
-        for (i, (area, map)) in root.split_evenly((rows, columns)).iter().zip(maps).enumerate() {
+        for (i, (area, map)) in root
+            .split_evenly((rows, columns))
+            .iter()
+            .zip(maps)
+            .enumerate()
+        {
             let column = maps.iter().skip(i % columns).step_by(columns);
-            let values = || column.clone().flat_map(|m| m.values.iter().flatten().flatten());
+            let values = || {
+                column
+                    .clone()
+                    .flat_map(|m| m.values.iter().flatten().flatten())
+            };
             let low = values().copied().fold(f64::INFINITY, f64::min);
             let high = values().copied().fold(0.0, f64::max);
             draw_map(area, map, low, high)?;
@@ -332,8 +360,12 @@ pub fn heat_maps(maps: &[HeatMap], columns: usize) -> Result<String> {
 
 fn draw_map(area: &Area, map: &HeatMap, low: f64, high: f64) -> Result<()> {
     let write = |text: &str, at: (i32, i32), size: i32, colour: &RGBColor| {
-        area.draw(&Text::new(text.to_owned(), at, (FONT, size).into_font().color(colour)))
-            .map_err(drawing)
+        area.draw(&Text::new(
+            text.to_owned(),
+            at,
+            (FONT, size).into_font().color(colour),
+        ))
+        .map_err(drawing)
     };
     write(&map.title, (80, 8), 20, &BLACK)?;
     let bottom = 40 + CELL[1] * map.y.1.len() as i32;
@@ -351,7 +383,8 @@ fn draw_map(area: &Area, map: &HeatMap, low: f64, high: f64) -> Result<()> {
             let mix = |end: u8| (255.0 + (f64::from(end) - 255.0) * share).round() as u8;
             let colour = RGBColor(mix(0), mix(90), mix(170));
             let cell = [(x, y), (x + CELL[0] - 2, y + CELL[1] - 2)];
-            area.draw(&Rectangle::new(cell, colour.filled())).map_err(drawing)?;
+            area.draw(&Rectangle::new(cell, colour.filled()))
+                .map_err(drawing)?;
             let ink = if share > 0.55 { WHITE } else { BLACK };
             write(&mark_text(*value), (x + 8, y + 13), 15, &ink)?;
         }
@@ -373,8 +406,7 @@ mod tests {
             title: "errors & <slopes>".into(),
             x: "h".into(),
             y: "error of H".into(),
-            x_falls: false,
-            x_logarithmic: true,
+            x_axis: Axis::Gridstep,
             lines: [(true, false), (false, true)]
                 .map(|(thick, dashed)| Line {
                     name: format!("thick {thick}"),
@@ -440,9 +472,9 @@ mod tests {
     }
 
     #[test]
-    fn small_gridsteps_are_to_the_left_as_in_the_paper() {
-        let scale = |falls| Scale::of([0.1, 1.0].into_iter(), true, falls);
-        assert!(scale(false).share(0.1) < scale(false).share(1.0));
-        assert!(scale(true).share(0.1) > scale(true).share(1.0));
+    fn gridsteps_are_marked_by_halves_fine_ones_to_the_left() {
+        let scale = Scale::of([0.125, 1.0].into_iter(), Axis::Gridstep);
+        assert_eq!(scale.marks, [0.125, 0.25, 0.5, 1.0]);
+        assert!(scale.share(0.125) < scale.share(1.0));
     }
 }

@@ -61,9 +61,10 @@ impl Rows {
     /// The centroid of a surfel in the world, from its integers.
     pub fn centroid(&self, row: usize) -> DVec3 {
         let k = self.batch.k_at(row);
-        DVec3::from_array([0, 1, 2].map(|a| {
-            self.info.origin[a] + self.info.spacing[a] * 0.5 * f64::from(k[a] - 1)
-        }))
+        DVec3::from_array(
+            [0, 1, 2]
+                .map(|a| self.info.origin[a] + self.info.spacing[a] * 0.5 * f64::from(k[a] - 1)),
+        )
     }
 
     fn normal(&self, row: usize) -> DVec3 {
@@ -81,7 +82,9 @@ impl Rows {
                     linel[axis] += step;
                     // 21 bits hold images of a million voxels along an axis; a table of curvox has
                     // coordinates of at least 0.
-                    let key = linel.iter().fold(0_u64, |key, &k| key << 21 | (k as u64 & 0x1f_ffff));
+                    let key = linel
+                        .iter()
+                        .fold(0_u64, |key, &k| key << 21 | (k as u64 & 0x1f_ffff));
                     sides.push((key, row as u32));
                 }
             }
@@ -238,9 +241,8 @@ impl Measured {
             }
             let columns = &rows.batch.curvatures[i];
             let roughness = [&columns.mean, &columns.gaussian].map(|column| {
-                let difference = |&[a, b]: &[u32; 2]| {
-                    f64::from((column[a as usize] - column[b as usize]).abs())
-                };
+                let difference =
+                    |&[a, b]: &[u32; 2]| f64::from((column[a as usize] - column[b as usize]).abs());
                 Errors::of(neighbours.iter().map(difference)).l2
             });
             at.push(AtRadius {

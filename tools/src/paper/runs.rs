@@ -223,11 +223,18 @@ impl Run {
                     return None;
                 }
                 let path = path.display().to_string();
-                ["noise", &path, "--threshold", "1"].map(String::from).into()
+                ["noise", &path, "--threshold", "1"]
+                    .map(String::from)
+                    .into()
             }
         };
         if self.noise > 0.0 {
-            let noise = ["--noise", &self.noise.to_string(), "--seed", &SEED.to_string()];
+            let noise = [
+                "--noise",
+                &self.noise.to_string(),
+                "--seed",
+                &SEED.to_string(),
+            ];
             words.extend(noise.map(String::from));
         }
         words.extend(["-o", "-"].map(String::from));
@@ -291,7 +298,12 @@ impl Run {
         if let Some(radius) = self.method.normal_radius {
             let _ = write!(label, " r={radius:.1}");
         }
-        let radii: Vec<_> = self.method.radii.iter().map(|r| format!("{r:.1}")).collect();
+        let radii: Vec<_> = self
+            .method
+            .radii
+            .iter()
+            .map(|r| format!("{r:.1}"))
+            .collect();
         let _ = write!(label, " rho={}", radii.join(","));
         label
     }
@@ -362,7 +374,11 @@ impl Runner {
             .arg("--version")
             .output()
             .with_context(|| program.display().to_string())?;
-        ensure!(said.status.success(), "{}: --version fails", program.display());
+        ensure!(
+            said.status.success(),
+            "{}: --version fails",
+            program.display()
+        );
         let bytes = fs::read(&program).with_context(|| program.display().to_string())?;
         let version = String::from_utf8_lossy(&said.stdout).trim().to_owned();
         let identity = format!("{version} {:016x}", fnv(&bytes));
@@ -411,7 +427,9 @@ impl Runner {
         } = self.spawn(run, &table).with_context(|| command.clone())?;
         if status.code() == Some(USAGE) {
             let first = message.lines().next().unwrap_or_default();
-            let reason = first.trim_start_matches("error: ").trim_start_matches("curvox: ");
+            let reason = first
+                .trim_start_matches("error: ")
+                .trim_start_matches("curvox: ");
             return Ok(Outcome::Refused(reason.to_owned()));
         }
         ensure!(status.success(), "{command}: {status}: {}", message.trim());
@@ -453,7 +471,10 @@ impl Runner {
             }
             maker = Some(child);
         }
-        let mut child = computing.stdout(Stdio::null()).stderr(Stdio::piped()).spawn()?;
+        let mut child = computing
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()?;
         // This holds the reading end of the pipe, which must close when the child ends.
         drop(computing);
         let message = text_of(&mut child)?;
@@ -512,8 +533,11 @@ fn wait(child: Child, started: Instant) -> Result<Spent> {
     }
     let seconds = |t: libc::timeval| t.tv_sec as f64 + t.tv_usec as f64 * 1e-6;
     // Linux counts in KiB, others in bytes or not at all.
-    let peak_bytes = cfg!(target_os = "linux")
-        .then(|| u64::try_from(usage.ru_maxrss).unwrap_or_default().saturating_mul(1024));
+    let peak_bytes = cfg!(target_os = "linux").then(|| {
+        u64::try_from(usage.ru_maxrss)
+            .unwrap_or_default()
+            .saturating_mul(1024)
+    });
     Ok(Spent {
         status: ExitStatus::from_raw(status),
         message: String::new(),

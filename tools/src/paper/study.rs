@@ -166,7 +166,9 @@ pub fn run_all(runner: &Runner, wanted: Vec<Run>, workers: usize) -> Result<Resu
             let elapsed = started.elapsed().as_secs_f64();
             let told = match outcome {
                 Outcome::Refused(reason) => {
-                    lock(&results).refused.insert(run.command_line(), reason.clone());
+                    lock(&results)
+                        .refused
+                        .insert(run.command_line(), reason.clone());
                     format!("not run: {reason}")
                 }
                 Outcome::Done {
