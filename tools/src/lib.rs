@@ -8,6 +8,7 @@
 //!   differ from the plain ones.
 //! * [`agreement`] compares the plain reference with DGtal, [`accuracy`] with the truth.
 //! * [`picture`] draws what a run of `curvox` left.
+//! * [`paper`] repeats the experiments of the paper with the `curvox` command.
 
 pub mod plain;
 
@@ -23,3 +24,5 @@ pub mod accuracy;
 pub mod agreement;
 
 pub mod picture;
+
+pub mod paper;

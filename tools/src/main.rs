@@ -8,6 +8,7 @@ use clap::{Parser, Subcommand};
 use curvox_tools::accuracy::KnownShape;
 use curvox_tools::agreement::{self, Comparison};
 use curvox_tools::npz::Table;
+use curvox_tools::paper::PaperArgs;
 use curvox_tools::picture::PictureArgs;
 use curvox_tools::{goursat, vol};
 
@@ -41,6 +42,8 @@ enum Command {
     },
     /// Draw what a run left as a PNG file: its surfels, or one of its slices
     Picture(PictureArgs),
+    /// Repeat the experiments of the paper with the curvox command: figures, numbers, one page
+    Paper(PaperArgs),
 }
 
 fn main() -> Result<()> {
@@ -70,6 +73,7 @@ fn main() -> Result<()> {
             }
         }
         Command::Picture(arguments) => arguments.run()?,
+        Command::Paper(arguments) => arguments.run()?,
         Command::Errors {
             reference,
             gridsteps,

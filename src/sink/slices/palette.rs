@@ -52,9 +52,15 @@ impl Palette {
     /// The colour of `value` when ±`range` is the whole scale; values beyond take its ends.
     #[must_use]
     pub fn colour(self, value: f32, range: f32) -> [f32; 3] {
+        self.colour_with_band(value, range, BAND)
+    }
+
+    /// The same with a black band of another half width, as a share of the range.
+    #[must_use]
+    pub fn colour_with_band(self, value: f32, range: f32, band: f32) -> [f32; 3] {
         let t = value / range;
         // A NaN fails this test and is black too.
-        if t.is_nan() || t.abs() <= BAND {
+        if t.is_nan() || t.abs() <= band {
             return [0.0; 3];
         }
         let [negative, positive] = self.ends();

@@ -7,8 +7,7 @@
 //!       mean curvature (1/mm)
 //! ```
 
-use curvox::sink::Palette;
-
+use super::colours::ColourMap;
 use super::glyphs;
 use super::image::{Image, srgb};
 
@@ -18,12 +17,11 @@ const INK: [u8; 3] = [60, 60, 60];
 const LENGTH: f64 = 0.45;
 
 /// What the bar explains.
-pub(super) struct Bar<'a> {
-    pub(super) palette: Palette,
-    /// The scale runs from minus to plus this.
-    pub(super) range: f32,
+pub struct Bar {
+    /// The colours.
+    pub colours: ColourMap,
     /// Below the bar.
-    pub(super) title: &'a str,
+    pub title: String,
 }
 
 /// Pixels of a dot of the font, and of the lines, in a picture of this width.
@@ -36,14 +34,14 @@ pub(super) fn height(width: usize) -> usize {
     46 * dot(width)
 }
 
-impl Bar<'_> {
-    /// Draws it at the bottom of a picture.
-    pub(super) fn draw(&self, image: &mut Image) {
-        let [width, image_height] = image.size();
+impl Bar {
+    /// Draws it into a part of a picture that begins at `left` and is `width` wide, at the bottom.
+    pub(super) fn draw(&self, image: &mut Image, left: usize, width: usize) {
+        let [_, image_height] = image.size();
         let dot = dot(width);
-        // Odd, so that 0 is in the middle of a pixel.
+        // Odd, so that the middle of the scale is in the middle of a pixel.
         let length = (width as f64 * LENGTH) as usize | 1;
-        let left = (width - length) / 2;
+        let left = left + (width - length) / 2;
         let mut top = image_height - height(width);
         let thickness = 8 * dot;
         image.fill(
@@ -51,23 +49,20 @@ impl Bar<'_> {
             [length + 2 * dot, thickness + 2 * dot],
             INK,
         );
+        let [low, high] = self.colours.ends();
         for x in 0..length {
-            let share = 2.0 * (x as f32 + 0.5) / length as f32 - 1.0;
-            let colour = srgb(self.palette.colour(share * self.range, self.range));
+            let share = (x as f32 + 0.5) / length as f32;
+            let colour = srgb(self.colours.colour(low + share * (high - low)));
             image.fill([left + x, top], [1, thickness], colour);
         }
         top += thickness + dot;
-        let ticks = [
-            (0, -self.range),
-            (length / 2, 0.0),
-            (length - 1, self.range),
-        ];
-        for (x, value) in ticks {
+        for (x, share) in [(0, 0.0), (length / 2, 0.5), (length - 1, 1.0)] {
             let centre = left + x;
             image.fill([centre - dot / 2, top], [dot, 3 * dot], INK);
-            text(image, [centre, top + 5 * dot], &number(value), dot);
+            let value = number(low + share * (high - low));
+            text(image, [centre, top + 5 * dot], &value, dot);
         }
-        text(image, [left + length / 2, top + 18 * dot], self.title, dot);
+        text(image, [left + length / 2, top + 18 * dot], &self.title, dot);
     }
 }
 

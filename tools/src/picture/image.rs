@@ -39,6 +39,16 @@ impl Image {
         &self.pixels[y * self.size[0]..][..self.size[0]]
     }
 
+    /// Copies the part of another picture that is within this one, its upper left corner to `at`.
+    pub(super) fn paste(&mut self, at: [usize; 2], other: &Image) {
+        let width = other.size[0].min(self.size[0].saturating_sub(at[0]));
+        let height = other.size[1].min(self.size[1].saturating_sub(at[1]));
+        for y in 0..height {
+            let start = (at[1] + y) * self.size[0] + at[0];
+            self.pixels[start..start + width].copy_from_slice(&other.row(y)[..width]);
+        }
+    }
+
     /// Paints the part of a rectangle that is within the picture.
     pub(super) fn fill(&mut self, at: [usize; 2], size: [usize; 2], colour: [u8; 3]) {
         let [left, right] = [at[0], at[0] + size[0]].map(|x| x.min(self.size[0]));

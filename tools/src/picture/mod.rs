@@ -18,9 +18,11 @@
 //! quarter of a pixel.
 
 mod bar;
+mod colours;
 mod command;
 mod glyphs;
 mod image;
+mod montage;
 mod png;
 mod raster;
 mod slice;
@@ -30,8 +32,11 @@ mod view;
 #[cfg(test)]
 mod tests;
 
+pub use bar::Bar;
+pub use colours::ColourMap;
 pub use command::PictureArgs;
 pub use image::Image;
+pub use montage::Montage;
 pub use slice::slice_preview;
-pub use surfels::{PictureOptions, draw_surfels};
+pub use surfels::{PictureOptions, Scene, Stick, draw_surfels};
 pub use view::{Frame, View};

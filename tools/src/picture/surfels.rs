@@ -7,6 +7,7 @@ use curvox::sink::{CurvatureColumns, Palette, SinkError, SurfelBatch, TableInfo}
 use glam::{DMat3, DVec2, DVec3};
 
 use super::bar::{self, Bar};
+use super::colours::ColourMap;
 use super::image::Image;
 use super::raster::{Canvas, SAMPLES};
 use super::view::{Frame, View};
@@ -122,66 +123,139 @@ where
         range.is_finite() && range > 0.0,
         "range: found {range}, expected a positive number"
     );
-    ensure!(
-        WIDTHS.contains(&options.width),
-        "size: found {}, expected {} to {}",
-        options.width,
-        WIDTHS.start(),
-        WIDTHS.end()
-    );
-    let width = usize::try_from(options.width)?;
-    let frame = options.view.frame();
-    let voxel = Voxel::of(info, &frame);
-
-    let mut extent = Extent::default();
-    for_each_surfel(path, rows(), |batch, row, axis| {
-        extent.add(frame.world_to_frame(centre(batch, row)?), voxel.edges(axis));
-        Ok(())
-    })?;
-    let place = extent
-        .place(width)
-        .with_context(|| format!("{}: there are no surfels to draw", path.display()))?;
-
-    let height = place.height + bar::height(width);
-    let mut canvas = Canvas::new([width, place.height]);
-    for_each_surfel(path, rows(), |batch, row, axis| {
-        let outer = voxel.faces_eye[axis] * f64::from(batch.side[row]) > 0.0;
+    let colours = ColourMap::of_palette(options.palette, range);
+    let scene = Scene {
+        path,
+        info,
+        view: options.view,
+        width: options.width,
+        sticks: &[],
+    };
+    let picture = scene.draw(rows, |batch, row, _| {
         let values = batch.curvatures.get(shown.radius).map(shown.values);
         let value = values.and_then(|values| values.get(row)).copied();
-        let colour = if outer {
-            options.palette.colour(value.unwrap_or(f32::NAN), range)
-        } else {
-            [INNER_SIDE; 3]
-        };
-        let u = DVec3::from_array([0, 1, 2].map(|a| f64::from(batch.normal[a][row])));
-        // Of a surface seen from within, the normal points away. A NaN becomes 0.
-        let cosine = (frame.eye.dot(u) * if outer { 1.0 } else { -1.0 })
-            .clamp(-1.0, 1.0)
-            .max(0.0);
-        let light = (GRAZING_LIGHT + (1.0 - GRAZING_LIGHT) * cosine) as f32;
-        canvas.draw(
-            place.on_canvas(frame.world_to_frame(centre(batch, row)?)),
-            voxel.edges(axis).map(|edge| place.edge_on_canvas(edge)),
-            colour.map(|channel| channel * light),
-        );
-        Ok(())
+        colours.colour(value.unwrap_or(f32::NAN))
     })?;
-
-    let mut image = Image::white([width, height]);
-    canvas.into_image(&mut image);
+    let [width, height] = picture.size();
+    let mut image = Image::white([width, height + bar::height(width)]);
+    image.paste([0, 0], &picture);
     let square = if shown.power == 2 { "^2" } else { "" };
     let title = format!(
         "{} (1/{}{square})",
         options.column.replace('_', " "),
         info.unit
     );
-    let bar = Bar {
-        palette: options.palette,
-        range,
-        title: &title,
-    };
-    bar.draw(&mut image);
+    Bar { colours, title }.draw(&mut image, 0, width);
     Ok(image)
+}
+
+/// A short line on the surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stick {
+    /// Its middle, in the world.
+    pub centre: DVec3,
+    /// Along it, a unit vector.
+    pub direction: DVec3,
+    /// In world units.
+    pub length: f64,
+}
+
+/// Width of a stick, as a share of its length on the picture when it is seen at a right angle.
+const STICK_WIDTH: f64 = 0.16;
+
+/// How far sticks are lifted towards the eye, in voxels: the staircase of the surface rises up to
+/// one voxel above its mean, and would hide them; more would show those behind the rim.
+const STICK_LIFT: f64 = 1.5;
+
+/// What is drawn, but for the colours.
+pub struct Scene<'a> {
+    /// Names the table in errors.
+    pub path: &'a Path,
+    /// Frame of the surfels.
+    pub info: &'a TableInfo,
+    /// Where it is seen from.
+    pub view: View,
+    /// Width in pixels; the height follows.
+    pub width: u32,
+    /// Black lines on the surface.
+    pub sticks: &'a [Stick],
+}
+
+impl Scene<'_> {
+    /// Draws the surfels, shaded, and the sticks. `rows` begins to read the surfels, and is called
+    /// twice; `colour` gives the linear light of a row of a batch, which is that many rows after the
+    /// first.
+    ///
+    /// # Errors
+    ///
+    /// If rows cannot be read or are no surfels, if there are none, or if the width does not fit.
+    pub fn draw<I>(
+        &self,
+        rows: impl Fn() -> I,
+        mut colour: impl FnMut(&SurfelBatch, usize, usize) -> [f32; 3],
+    ) -> Result<Image>
+    where
+        I: IntoIterator<Item = Result<SurfelBatch, SinkError>>,
+    {
+        ensure!(
+            WIDTHS.contains(&self.width),
+            "size: found {}, expected {} to {}",
+            self.width,
+            WIDTHS.start(),
+            WIDTHS.end()
+        );
+        let width = usize::try_from(self.width)?;
+        let frame = self.view.frame();
+        let voxel = Voxel::of(self.info, &frame);
+
+        let mut extent = Extent::default();
+        for_each_surfel(self.path, rows(), |batch, row, axis| {
+            extent.add(frame.world_to_frame(centre(batch, row)?), voxel.edges(axis));
+            Ok(())
+        })?;
+        let place = extent
+            .place(width)
+            .with_context(|| format!("{}: there are no surfels to draw", self.path.display()))?;
+
+        let mut canvas = Canvas::new([width, place.height]);
+        let mut passed = 0;
+        for_each_surfel(self.path, rows(), |batch, row, axis| {
+            let outer = voxel.faces_eye[axis] * f64::from(batch.side[row]) > 0.0;
+            let colour = if outer {
+                colour(batch, row, passed)
+            } else {
+                [INNER_SIDE; 3]
+            };
+            passed += 1;
+            let u = DVec3::from_array([0, 1, 2].map(|a| f64::from(batch.normal[a][row])));
+            // Of a surface seen from within, the normal points away. A NaN becomes 0.
+            let cosine = (frame.eye.dot(u) * if outer { 1.0 } else { -1.0 })
+                .clamp(-1.0, 1.0)
+                .max(0.0);
+            let light = (GRAZING_LIGHT + (1.0 - GRAZING_LIGHT) * cosine) as f32;
+            canvas.draw(
+                place.on_canvas(frame.world_to_frame(centre(batch, row)?)),
+                voxel.edges(axis).map(|edge| place.edge_on_canvas(edge)),
+                colour.map(|channel| channel * light),
+            );
+            Ok(())
+        })?;
+        let edges = self.info.spacing;
+        let lift = STICK_LIFT * edges[0].max(edges[1]).max(edges[2]);
+        for stick in self.sticks {
+            let middle = frame.world_to_frame(stick.centre + frame.eye * lift);
+            let along = frame.world_to_frame(stick.direction * stick.length);
+            let across = along.truncate().perp().normalize_or_zero() * (stick.length * STICK_WIDTH);
+            canvas.draw(
+                place.on_canvas(middle),
+                [along, across.extend(0.0)].map(|edge| place.edge_on_canvas(edge)),
+                [0.0; 3],
+            );
+        }
+        let mut image = Image::white([width, place.height]);
+        canvas.into_image(&mut image);
+        Ok(image)
+    }
 }
 
 /// Goes through the rows: batch, row in it, the axis across the surfel.
