@@ -2,6 +2,7 @@ use curvox::khalimsky::Adjacency;
 use curvox::lattice::Lattice;
 use curvox::measure::ball::{Extent, Weights};
 use curvox::measure::cells::mark;
+use curvox::normal::vcm::Side;
 use curvox::normal::{Estimator, Orientation};
 use curvox::pipeline::Settings;
 use curvox::sink::Flag;
@@ -29,6 +30,19 @@ fn plainly(settings: &Settings) -> plain::Settings {
                 orientation: match orientation {
                     Orientation::Moment => plain::Orientation::Moment,
                     Orientation::Trivial => plain::Orientation::Dgtal,
+                },
+            },
+            Estimator::VoronoiCovariance {
+                voronoi_radius,
+                radius,
+                side,
+            } => plain::Estimator::VoronoiCovariance {
+                voronoi_radius_world: voronoi_radius * unit,
+                radius_world: radius * unit,
+                ties: plain::Ties::Shared,
+                orientation: match side {
+                    Side::Surface => plain::Orientation::Surface,
+                    Side::Dgtal => plain::Orientation::Dgtal,
                 },
             },
             Estimator::SurfaceAverage { radius } => plain::Estimator::SurfaceAverage {
@@ -176,6 +190,11 @@ fn production_agrees_with_the_plain_reference_on_noise() {
                         for estimator in [
                             Estimator::Trivial,
                             Estimator::SurfaceAverage { radius: 2.5 },
+                            Estimator::VoronoiCovariance {
+                                voronoi_radius: 3.0,
+                                radius: 1.7,
+                                side: Side::Surface,
+                            },
                             Estimator::IntegralInvariant {
                                 radius: 2.0,
                                 orientation: Orientation::Moment,
@@ -208,6 +227,14 @@ fn production_agrees_with_the_plain_reference_on_solids_and_box_voxels() {
                 Estimator::SurfaceAverage { radius: 3.3 },
             ] {
                 s.estimator = estimator;
+                assert_eq!(agree(&solid, &s), 0, "{s:?}");
+            }
+            for side in [Side::Surface, Side::Dgtal] {
+                s.estimator = Estimator::VoronoiCovariance {
+                    voronoi_radius: 7.3,
+                    radius: 2.6,
+                    side,
+                };
                 assert_eq!(agree(&solid, &s), 0, "{s:?}");
             }
             for orientation in [Orientation::Moment, Orientation::Trivial] {

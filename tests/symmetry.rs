@@ -2,6 +2,7 @@ use std::collections::HashMap;
 
 use curvox::khalimsky::Adjacency;
 use curvox::measure::ball::Weights;
+use curvox::normal::vcm::Side;
 use curvox::normal::{Estimator, Orientation};
 use curvox::pipeline::Settings;
 use curvox_tools::plain::Solid;
@@ -97,6 +98,14 @@ fn moved_volumes_give_moved_values() {
             },
         ),
         (Weights::Sharp, Estimator::SurfaceAverage { radius: 3.0 }),
+        (
+            Weights::Lumped,
+            Estimator::VoronoiCovariance {
+                voronoi_radius: 7.0,
+                radius: 2.5,
+                side: Side::Surface,
+            },
+        ),
         (Weights::Dgtal, Estimator::Trivial),
     ] {
         for (adjacency, spacing) in [

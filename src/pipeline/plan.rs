@@ -10,7 +10,7 @@
 //! | bits, and the index of surfels | 1/8 byte a voxel of 2 R + 3 H + 9 S planes, about 9/16 more (as if no brick were empty) of 2 H + 8 S of them |
 //! | surfels in flight | [`Plan::surfel_bytes`] each, within 3/4 of [`Plan::surfel_budget_bytes`] |
 //! | rows | [`Plan::row_bytes`] a surfel of a slab, [`Plan::sent_row_bytes`] a surfel of its densest plane, within 1/4 of it |
-//! | scratch of a worker | [`SCRATCH_BYTES`] a surfel of a brick with its halo ([`CELL_SCRATCH_BYTES`] where linels and pointels are kept) |
+//! | scratch of a worker | [`SCRATCH_BYTES`] a surfel of a brick with its halo ([`CELL_SCRATCH_BYTES`] where linels and pointels are kept), or more where normals need it ([`NormalKernel::scratch_bytes`]) |
 //!
 //! The number of surfels is only known when they are met, so slabs adapt: a slab is lowered until
 //! the surfels that must be held at once fit ([`Plan::surfel_budget_bytes`]); a surface that does
@@ -44,6 +44,9 @@ const DENSE: f64 = 1.6;
 
 /// Stored bytes read at a time; more only makes the buffer larger.
 const READ_BYTES: u64 = 4 << 20;
+
+/// Reaches beyond this ask for bricks of more than 64 voxels.
+const WIDE_REACH: i32 = 40;
 
 /// Slabs with an index held at once beside the planes within reach of the sums: three in the
 /// window of the sums, which reach cuts anywhere, one in a channel, one measured and one it waits
@@ -252,9 +255,11 @@ impl Plan {
                     * f64::from((slab + 2 * reach[2]).min(lattice.dims[2] as i32 + 1));
                 (cells * DENSE * bytes as f64) as u64
             };
-            let most =
-                grown(ball_reach, surfel_scratch).max(grown(normal_reach, NORMAL_SCRATCH_BYTES));
-            most * request.threads as u64
+            let core = [0, 1, 2].map(|a| [edge, edge, slab][a].min(lattice.dims[a] as i32 + 1));
+            let of_normals = normals
+                .scratch_bytes(core)
+                .unwrap_or_else(|| grown(normal_reach, NORMAL_SCRATCH_BYTES));
+            grown(ball_reach, surfel_scratch).max(of_normals) * request.threads as u64
         };
         let base = fixed_bytes.saturating_add(read_bytes);
         let left = request.memory_bytes.saturating_sub(base);
@@ -262,12 +267,15 @@ impl Plan {
         let fits = |edge: i32, slab: i32| {
             bits_bytes(edge, slab) <= left / 8 * 3 && scratch_bytes(edge, slab) <= left / 4
         };
-        const HEIGHTS: [i32; 12] = [64, 48, 32, 24, 16, 12, 8, 6, 4, 3, 2, 1];
+        const HEIGHTS: [i32; 14] = [128, 96, 64, 48, 32, 24, 16, 12, 8, 6, 4, 3, 2, 1];
+        const EDGES: [i32; 7] = [128, 96, 64, 48, 32, 24, 16];
+        // Work done again in rims as wide as a brick would be most of the work.
+        let small = if widest > WIDE_REACH { 0 } else { 2 };
         let edges: &[i32] = match request.brick {
             Some(ref edge) => std::slice::from_ref(edge),
-            None => &[64, 48, 32, 24, 16],
+            None => &EDGES[small..],
         };
-        let chosen = HEIGHTS
+        let chosen = HEIGHTS[small..]
             .iter()
             .flat_map(|&slab| edges.iter().map(move |&edge| (edge, slab.min(edge))))
             // low slabs beside wide bricks halo as much as narrow bricks do: prefer cubes

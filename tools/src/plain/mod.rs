@@ -18,6 +18,7 @@ pub mod solid;
 pub mod sums;
 pub mod surface;
 pub mod totals;
+pub mod voronoi;
 pub mod walk;
 
 pub use cells::Cells;
@@ -27,6 +28,7 @@ pub use solid::{Scale, Solid};
 pub use sums::{Ball, BallKind, FixedSums, Sums, Weights};
 pub use surface::{Adjacency, Surface, Surfel};
 pub use totals::{SolidTotals, Totals};
+pub use voronoi::Ties;
 pub use walk::Walk;
 
 use algebra::{Vector, dot};
