@@ -8,6 +8,7 @@ use serde_json::{Value, json};
 use crate::khalimsky::Adjacency;
 use crate::lattice::Lattice;
 use crate::measure::ball::{Extent, Weights};
+use crate::normal::vcm::Side;
 use crate::normal::{Estimator, Orientation};
 use crate::sink::RadiusInfo;
 use crate::volume::Criterion;
@@ -31,7 +32,7 @@ pub(crate) struct MethodArgs {
     #[arg(long, value_name = "LENGTH", help_heading = "Method")]
     normal_radius: Option<Length>,
 
-    /// Normals: ii (digital integral invariants), average (of the surface), trivial [default: ii]
+    /// Normals: ii (digital integral invariants), vcm (Voronoi covariance measure), average (of the surface), trivial [default: ii]
     #[arg(
         long,
         value_enum,
@@ -41,7 +42,11 @@ pub(crate) struct MethodArgs {
     )]
     normals: Option<Normals>,
 
-    /// Which way ii normals point: moment (away from the solid), dgtal (as the surfel) [default: moment]
+    /// Where vcm normals cut the cells of the surface's pointels; what is looked at reaches twice as far [default: 10/3 of the radius of the normals]
+    #[arg(long, value_name = "LENGTH", help_heading = "Method")]
+    voronoi_radius: Option<Length>,
+
+    /// Which way normals point: moment (ii: away from the solid), surface (vcm: as the surface around), dgtal (DGtal's rule for either) [default: moment or surface]
     #[arg(
         long,
         value_enum,
@@ -113,6 +118,7 @@ enum Method {
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq)]
 enum Normals {
     Ii,
+    Vcm,
     Average,
     Trivial,
 }
@@ -120,6 +126,7 @@ enum Normals {
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq)]
 enum OrientationRule {
     Moment,
+    Surface,
     Dgtal,
 }
 
@@ -164,6 +171,34 @@ fn name_of(value: impl ValueEnum) -> String {
 }
 
 impl MethodArgs {
+    /// The rule of orientation of normals that have one.
+    fn orientation(&self, normals: Normals) -> Result<Option<OrientationRule>> {
+        let own = match normals {
+            Normals::Ii => OrientationRule::Moment,
+            Normals::Vcm => OrientationRule::Surface,
+            Normals::Average | Normals::Trivial => {
+                return match self.orientation {
+                    None => Ok(None),
+                    Some(_) => Err(usage(format!(
+                        "--orientation is for --normals ii and vcm; {} normals have theirs",
+                        name_of(normals)
+                    ))),
+                };
+            }
+        };
+        match self.orientation {
+            None if self.method == Method::Paper => Ok(Some(OrientationRule::Dgtal)),
+            None => Ok(Some(own)),
+            Some(rule) if rule == own || rule == OrientationRule::Dgtal => Ok(Some(rule)),
+            Some(rule) => Err(usage(format!(
+                "--orientation {} is not for --normals {}, expected {} or dgtal",
+                name_of(rule),
+                name_of(normals),
+                name_of(own)
+            ))),
+        }
+    }
+
     /// Fills in defaults and converts lengths.
     ///
     /// # Errors
@@ -171,17 +206,7 @@ impl MethodArgs {
     pub(crate) fn resolve(&self, lattice: &Lattice, world: Unit) -> Result<ResolvedMethod> {
         let paper = self.method == Method::Paper;
         let normals = self.normals.unwrap_or(Normals::Ii);
-        let orientation = match (normals, self.orientation) {
-            (Normals::Ii, Some(given)) => given,
-            (Normals::Ii, None) if paper => OrientationRule::Dgtal,
-            (_, None) => OrientationRule::Moment,
-            (_, Some(_)) => {
-                return Err(usage(format!(
-                    "--orientation is for --normals ii; {} normals have theirs",
-                    name_of(normals)
-                )));
-            }
-        };
+        let orientation = self.orientation(normals)?;
         let ball = self.ball.unwrap_or(BallSet::Connected);
         let weights = self.weights.unwrap_or(if paper {
             WeightRule::Dgtal
@@ -229,15 +254,38 @@ impl MethodArgs {
         } else {
             Some(in_voxels("--normal-radius", normal_length)?)
         };
-        let estimator = match (normals, normal_radius) {
-            (Normals::Ii, Some(radius)) => Estimator::IntegralInvariant {
+        let as_dgtal = orientation == Some(OrientationRule::Dgtal);
+        let voronoi_radius = match (&self.voronoi_radius, normal_radius) {
+            (Some(_), _) if normals != Normals::Vcm => {
+                return Err(usage("--voronoi-radius is for --normals vcm"));
+            }
+            (Some(length), _) => Some(in_voxels("--voronoi-radius", length)?),
+            (None, Some(radius)) if normals == Normals::Vcm => {
+                let voxels = radius * 10.0 / 3.0;
+                lattice.metric().voxel_ball(voxels).map_err(|error| {
+                    usage(format!(
+                        "--voronoi-radius, by default 10/3 of {normal_length}: {error}"
+                    ))
+                })?;
+                Some(voxels)
+            }
+            _ => None,
+        };
+        let estimator = match (normals, normal_radius, voronoi_radius) {
+            (Normals::Ii, Some(radius), _) => Estimator::IntegralInvariant {
                 radius,
-                orientation: match orientation {
-                    OrientationRule::Moment => Orientation::Moment,
-                    OrientationRule::Dgtal => Orientation::Trivial,
+                orientation: if as_dgtal {
+                    Orientation::Trivial
+                } else {
+                    Orientation::Moment
                 },
             },
-            (Normals::Average, Some(radius)) => Estimator::SurfaceAverage { radius },
+            (Normals::Vcm, Some(radius), Some(voronoi_radius)) => Estimator::VoronoiCovariance {
+                voronoi_radius,
+                radius,
+                side: if as_dgtal { Side::Dgtal } else { Side::Surface },
+            },
+            (Normals::Average, Some(radius), _) => Estimator::SurfaceAverage { radius },
             _ => Estimator::Trivial,
         };
         let mut parameters = json!({
@@ -253,8 +301,11 @@ impl MethodArgs {
             parameters["normal_radius"] = json!(normal_length.to_string());
             parameters["normal_radius_voxels"] = json!(radius);
         }
-        if normals == Normals::Ii {
+        if let Some(orientation) = orientation {
             parameters["orientation"] = json!(name_of(orientation));
+        }
+        if let Some(radius) = voronoi_radius {
+            parameters["voronoi_radius_voxels"] = json!(radius);
         }
         Ok(ResolvedMethod {
             estimator,

@@ -27,7 +27,7 @@ pub(super) fn shift(ball: &Ball) -> u32 {
     let longest = wide.iter().fold(1.0f64, |most, &w| most.max(w));
     // a cell has fewer points than the box, each with terms below (longest / 2)^2
     let bound = wide[0] * wide[1] * wide[2] * (0.25 * longest * longest);
-    (62 - bound.log2().ceil() as i32).clamp(0, 30) as u32
+    (62 - bound.log2().ceil() as i32).clamp(0, 44) as u32
 }
 
 /// The cells of the sites `wanted`, whose points are looked for in `points`; `sites` are all that
