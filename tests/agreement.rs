@@ -253,6 +253,22 @@ fn production_agrees_with_the_plain_reference_on_solids_and_box_voxels() {
 }
 
 #[test]
+fn voronoi_normals_agree_with_the_plain_reference_at_the_widest_radii() {
+    let solid = Solid::from_fn([9, 8, 8], |p| {
+        [1, 2, 2] <= p && p.iter().all(|&x| (2..7).contains(&x)) || p[0] == 1 && p[1] > 4
+    });
+    for spacing in [[1.0; 3], [1.0, 0.8, 1.0]] {
+        let mut s = settings(lattice(&solid, spacing, true));
+        s.estimator = Estimator::VoronoiCovariance {
+            voronoi_radius: 57.0,
+            radius: 17.0,
+            side: Side::Surface,
+        };
+        assert_eq!(agree(&solid, &s), 0);
+    }
+}
+
+#[test]
 fn the_pipeline_gives_the_rows_of_a_single_brick() {
     let solid = blob([75, 40, 70], 5);
     for weights in ALL_WEIGHTS {

@@ -1,6 +1,7 @@
 use std::collections::HashMap;
 
 use curvox::measure::ball::{Extent, Weights};
+use curvox::normal::vcm::Side;
 use curvox::normal::{Estimator, Orientation};
 use curvox::pipeline::Settings;
 use curvox::sink::Flag;
@@ -32,6 +33,14 @@ fn rows_without_the_border_flag_do_not_depend_on_the_crop() {
         (ii(3.0), 2.0),
         (ii(2.0), 4.0),
         (Estimator::SurfaceAverage { radius: 3.0 }, 3.0),
+        (
+            Estimator::VoronoiCovariance {
+                voronoi_radius: 4.0,
+                radius: 2.0,
+                side: Side::Surface,
+            },
+            2.0,
+        ),
         (Estimator::Trivial, 3.0),
     ] {
         for weights in [Weights::Lumped, Weights::Sharp, Weights::Dgtal] {

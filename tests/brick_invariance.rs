@@ -1,3 +1,4 @@
+use curvox::curvature::Method;
 use curvox::khalimsky::Adjacency;
 use curvox::measure::ball::Weights;
 use curvox::normal::vcm::Side;
@@ -71,6 +72,7 @@ proptest! {
         exterior: bool,
         which in 0usize..4,
         weights in 0usize..3,
+        invariants: bool,
         brick in 8i32..30,
         threads in 1usize..8,
     ) {
@@ -89,6 +91,9 @@ proptest! {
         };
         settings.weights = [Weights::Lumped, Weights::Sharp, Weights::Dgtal][weights];
         settings.radii = vec![2.0];
+        if invariants {
+            settings.curvature = Method::Invariants;
+        }
         settings.directions = true;
         settings.threads = 1;
         let (expected, outcome) = piped(&solid, &settings);

@@ -5,6 +5,7 @@ use clap::{Args, ValueEnum};
 use curvox_formats::Unit;
 use serde_json::{Value, json};
 
+use crate::curvature;
 use crate::khalimsky::Adjacency;
 use crate::lattice::Lattice;
 use crate::measure::ball::{Extent, Weights};
@@ -19,7 +20,7 @@ use super::lengths::Length;
 /// Options of the method.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct MethodArgs {
-    /// Radii of the balls the measures are summed over; several give columns for each [default: 3vx]
+    /// Radii of the balls the measures (or, with --curvature ii, the solid) are summed over; several give columns for each [default: 3vx]
     #[arg(
         long,
         value_name = "LENGTH[,LENGTH]",
@@ -55,6 +56,22 @@ pub(crate) struct MethodArgs {
         help_heading = "Method"
     )]
     orientation: Option<OrientationRule>,
+
+    /// Curvature: measures (corrected curvature measures), ii (plain integral invariants of the solid) [default: measures]
+    ///
+    /// ii takes H, G, k1, k2 from the volume and covariance of the solid in the ball of --radius; normals
+    /// and area stay what they are. It converges only if the radius shrinks slower than the gridstep h,
+    /// such as h^(1/3): at radii like h^(1/2), where the measures converge, its error stays. It is given to compare with.
+    #[arg(
+        long,
+        value_enum,
+        hide_possible_values = true,
+        default_value = "measures",
+        hide_default_value = true,
+        value_name = "NAME",
+        help_heading = "Method"
+    )]
+    curvature: CurvatureName,
 
     /// Surface summed: connected (to the surfel within the ball), whole (all of the ball) [default: connected]
     #[arg(
@@ -131,6 +148,12 @@ enum OrientationRule {
 }
 
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq)]
+enum CurvatureName {
+    Measures,
+    Ii,
+}
+
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq)]
 enum BallSet {
     Connected,
     Whole,
@@ -153,6 +176,7 @@ enum AdjacencyName {
 #[derive(Clone, Debug)]
 pub(crate) struct ResolvedMethod {
     pub(crate) estimator: Estimator,
+    pub(crate) curvature: curvature::Method,
     pub(crate) extent: Extent,
     pub(crate) weights: Weights,
     pub(crate) adjacency: Adjacency,
@@ -207,6 +231,17 @@ impl MethodArgs {
         let paper = self.method == Method::Paper;
         let normals = self.normals.unwrap_or(Normals::Ii);
         let orientation = self.orientation(normals)?;
+        let by_invariants = self.curvature == CurvatureName::Ii;
+        for (flag, is_given) in [
+            ("--ball", self.ball.is_some()),
+            ("--weights", self.weights.is_some()),
+        ] {
+            if by_invariants && is_given {
+                return Err(usage(format!(
+                    "{flag} is for --curvature measures; integral invariants take all voxels of the ball"
+                )));
+            }
+        }
         let ball = self.ball.unwrap_or(BallSet::Connected);
         let weights = self.weights.unwrap_or(if paper {
             WeightRule::Dgtal
@@ -290,9 +325,8 @@ impl MethodArgs {
         };
         let mut parameters = json!({
             "normals": name_of(normals),
+            "curvature": name_of(self.curvature),
             "radii": asked.iter().map(ToString::to_string).collect::<Vec<_>>(),
-            "ball": name_of(ball),
-            "weights": name_of(weights),
             "adjacency": name_of(self.adjacency),
             "closed": self.closed,
             "directions": self.directions,
@@ -300,6 +334,10 @@ impl MethodArgs {
         if let Some(radius) = normal_radius {
             parameters["normal_radius"] = json!(normal_length.to_string());
             parameters["normal_radius_voxels"] = json!(radius);
+        }
+        if !by_invariants {
+            parameters["ball"] = json!(name_of(ball));
+            parameters["weights"] = json!(name_of(weights));
         }
         if let Some(orientation) = orientation {
             parameters["orientation"] = json!(name_of(orientation));
@@ -309,6 +347,10 @@ impl MethodArgs {
         }
         Ok(ResolvedMethod {
             estimator,
+            curvature: match self.curvature {
+                CurvatureName::Measures => curvature::Method::Measures,
+                CurvatureName::Ii => curvature::Method::Invariants,
+            },
             extent: match ball {
                 BallSet::Connected => Extent::Connected,
                 BallSet::Whole => Extent::Whole,

@@ -10,6 +10,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::brick::{BrickGrid, Slab, SlabWindow};
+use crate::curvature::Method;
 use crate::error::Error;
 use crate::measure::ball::{LocalMeasures, Weights};
 use crate::measure::cells::{self, CellMeasures, CellTotals, Keep, mark};
@@ -327,7 +328,8 @@ fn normal_brick(shared: &Shared<'_>, window: &PlaneWindow, core: CellBox) -> Nor
 
 /// How measures are kept, given how they will be summed.
 fn keep(shared: &Shared<'_>) -> Keep {
-    if shared.settings.weights == Weights::Lumped {
+    let balls = &shared.kernels.balls;
+    if balls.iter().all(|ball| ball.weights() == Weights::Lumped) {
         Keep::Lumped
     } else {
         Keep::Cells
@@ -483,6 +485,13 @@ fn row_brick(
     number: usize,
 ) -> BrickRows {
     let core = grid.core(number, &slab.z());
+    let brick = &slab.normals.bricks[number];
+    if shared.settings.curvature == Method::Invariants {
+        let bits = BitBox::cut(voxels, core.lo.map(|c| c - 1), core.hi.map(|c| c + 1));
+        let surfels = Surfels::list(&brick.index, &bits);
+        let own = &slab.measures[number];
+        return BrickRows::by_invariants(shared, voxels, core, &surfels, &brick.u, own);
+    }
     let around = core.grown(shared.plan.ball_reach, grid.cell_dims);
     let surface = Surface::extract(voxels, around, shared.lattice, shared.settings.adjacency);
     let mut gathered = CellMeasures::default();
@@ -516,7 +525,6 @@ fn row_brick(
         }
     });
     let measures = LocalMeasures::new(&surface, gathered);
-    let brick = &slab.normals.bricks[number];
     BrickRows::compute(
         shared,
         &surface,

@@ -13,6 +13,7 @@ pub mod algebra;
 pub mod cells;
 pub mod curvature;
 pub mod formula;
+pub mod invariants;
 pub mod normals;
 pub mod solid;
 pub mod sums;
