@@ -15,7 +15,7 @@ const BOX_ONE: u64 = 1 << 20;
 
 /// Radii of balls are bounded so that rows of a ball, in voxels of any shape, stay short. Balls of
 /// measures are bounded further, by what a sum can hold: see [`crate::measure::fixed`].
-pub const MAX_RADIUS: f64 = 56.0;
+pub const MAX_RADIUS: f64 = 63.0;
 
 /// The largest extent of a volume along an axis: Khalimsky coordinates are `i32`.
 pub const MAX_EXTENT: u64 = (1 << 30) - 2;
@@ -365,7 +365,7 @@ mod tests {
         assert!(Lattice::new([1; 3], [1.0, 1.0, 1e4], false).is_err());
         let metric = Lattice::new([1; 3], [1.0; 3], false).unwrap().metric();
         assert!(metric.voxel_ball(0.0).is_err());
-        assert!(metric.voxel_ball(57.0).is_err());
+        assert!(metric.voxel_ball(63.5).is_err());
         assert!(metric.voxel_ball(f64::NAN).is_err());
     }
 }

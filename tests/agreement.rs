@@ -3,6 +3,7 @@ use curvox::lattice::Lattice;
 use curvox::measure::ball::{Extent, Weights};
 use curvox::measure::cells::mark;
 use curvox::measure::field::Field;
+use curvox::normal::vcm::Side;
 use curvox::normal::{Estimator, Orientation};
 use curvox::pipeline::Settings;
 use curvox::sink::Flag;
@@ -30,6 +31,19 @@ fn plainly(settings: &Settings) -> plain::Settings {
                 orientation: match orientation {
                     Orientation::Moment => plain::Orientation::Moment,
                     Orientation::Trivial => plain::Orientation::Dgtal,
+                },
+            },
+            Estimator::VoronoiCovariance {
+                voronoi_radius,
+                radius,
+                side,
+            } => plain::Estimator::VoronoiCovariance {
+                voronoi_radius_world: voronoi_radius * unit,
+                radius_world: radius * unit,
+                ties: plain::Ties::Shared,
+                orientation: match side {
+                    Side::Surface => plain::Orientation::Surface,
+                    Side::Dgtal => plain::Orientation::Dgtal,
                 },
             },
             Estimator::SurfaceAverage { radius } => plain::Estimator::SurfaceAverage {
@@ -202,6 +216,11 @@ fn production_agrees_with_the_plain_reference_on_noise() {
                         for estimator in [
                             Estimator::Trivial,
                             Estimator::SurfaceAverage { radius: 2.5 },
+                            Estimator::VoronoiCovariance {
+                                voronoi_radius: 3.0,
+                                radius: 1.7,
+                                side: Side::Surface,
+                            },
                             Estimator::IntegralInvariant {
                                 radius: 2.0,
                                 orientation: Orientation::Moment,
@@ -234,6 +253,14 @@ fn production_agrees_with_the_plain_reference_on_solids_and_box_voxels() {
                 Estimator::SurfaceAverage { radius: 3.3 },
             ] {
                 s.estimator = estimator;
+                assert_eq!(agree(&solid, &s), 0, "{s:?}");
+            }
+            for side in [Side::Surface, Side::Dgtal] {
+                s.estimator = Estimator::VoronoiCovariance {
+                    voronoi_radius: 7.3,
+                    radius: 2.6,
+                    side,
+                };
                 assert_eq!(agree(&solid, &s), 0, "{s:?}");
             }
             for orientation in [Orientation::Moment, Orientation::Trivial] {
@@ -282,6 +309,22 @@ fn production_agrees_with_the_plain_reference_for_continuous_fields() {
                 }
             }
         }
+    }
+}
+
+#[test]
+fn voronoi_normals_agree_with_the_plain_reference_at_the_widest_radii() {
+    let solid = Solid::from_fn([9, 8, 8], |p| {
+        [1, 2, 2] <= p && p.iter().all(|&x| (2..7).contains(&x)) || p[0] == 1 && p[1] > 4
+    });
+    for spacing in [[1.0; 3], [1.0, 0.8, 1.0]] {
+        let mut s = settings(lattice(&solid, spacing, true));
+        s.estimator = Estimator::VoronoiCovariance {
+            voronoi_radius: 57.0,
+            radius: 17.0,
+            side: Side::Surface,
+        };
+        assert_eq!(agree(&solid, &s), 0);
     }
 }
 

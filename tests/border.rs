@@ -2,6 +2,7 @@ use std::collections::HashMap;
 
 use curvox::measure::ball::{Extent, Weights};
 use curvox::measure::field::Field;
+use curvox::normal::vcm::Side;
 use curvox::normal::{Estimator, Orientation};
 use curvox::pipeline::Settings;
 use curvox::sink::Flag;
@@ -35,6 +36,15 @@ fn rows_without_the_border_flag_do_not_depend_on_the_crop() {
         (
             Estimator::SurfaceAverage { radius: 3.0 },
             3.0,
+            Field::Constant,
+        ),
+        (
+            Estimator::VoronoiCovariance {
+                voronoi_radius: 4.0,
+                radius: 2.0,
+                side: Side::Surface,
+            },
+            2.0,
             Field::Constant,
         ),
         (Estimator::Trivial, 3.0, Field::Constant),

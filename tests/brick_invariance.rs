@@ -1,6 +1,8 @@
+use curvox::curvature::Method;
 use curvox::khalimsky::Adjacency;
 use curvox::measure::ball::Weights;
 use curvox::measure::field::Field;
+use curvox::normal::vcm::Side;
 use curvox::normal::{Estimator, Orientation};
 use curvox::pipeline::Settings;
 use proptest::prelude::*;
@@ -48,6 +50,25 @@ fn the_cut_does_not_show() {
     }
 }
 
+#[test]
+fn the_cut_does_not_show_in_voronoi_normals_with_box_voxels() {
+    let solid = blob([75, 60, 66], 12);
+    let mut settings = Settings::new(lattice(&solid, [1.0, 0.7, 0.9], false));
+    settings.estimator = Estimator::VoronoiCovariance {
+        voronoi_radius: 8.0,
+        radius: 3.0,
+        side: Side::Dgtal,
+    };
+    let (expected, _) = piped(&solid, &settings);
+    let expected = bits(&expected);
+    for (brick, threads) in [(16, 2), (30, 1), (100, 3)] {
+        settings.brick = Some(brick);
+        settings.threads = threads;
+        let (rows, _) = piped(&solid, &settings);
+        assert!(bits(&rows) == expected, "{brick}");
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(16))]
 
@@ -58,10 +79,11 @@ proptest! {
         p in 0.05f64..0.95,
         closed: bool,
         exterior: bool,
-        which in 0usize..3,
+        which in 0usize..4,
         weights in 0usize..3,
         field in 0usize..4,
         quality: bool,
+        invariants: bool,
         brick in 8i32..30,
         threads in 1usize..8,
     ) {
@@ -71,10 +93,18 @@ proptest! {
         settings.estimator = match which {
             0 => Estimator::Trivial,
             1 => Estimator::IntegralInvariant { radius: 2.0, orientation: Orientation::Moment },
+            2 => Estimator::VoronoiCovariance {
+                voronoi_radius: 3.5,
+                radius: 2.0,
+                side: Side::Surface,
+            },
             _ => Estimator::SurfaceAverage { radius: 2.5 },
         };
         settings.weights = [Weights::Lumped, Weights::Sharp, Weights::Dgtal][weights];
         settings.radii = vec![2.0];
+        if invariants {
+            settings.curvature = Method::Invariants;
+        }
         settings.directions = true;
         settings.field = [Field::Constant, Field::Interpolated, Field::Linear][field % 3];
         settings.quality = quality;

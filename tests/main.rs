@@ -21,6 +21,12 @@ mod border;
 /// Mirrored, rotated and transposed volumes give the same values.
 mod symmetry;
 
+/// Normals by the Voronoi covariance measure.
+mod voronoi;
+
+/// Curvature by plain integral invariants.
+mod invariants;
+
 /// Shapes of known curvature.
 mod analytic;
 

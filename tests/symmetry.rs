@@ -3,6 +3,7 @@ use std::collections::HashMap;
 use curvox::khalimsky::Adjacency;
 use curvox::measure::ball::Weights;
 use curvox::measure::field::Field;
+use curvox::normal::vcm::Side;
 use curvox::normal::{Estimator, Orientation};
 use curvox::pipeline::Settings;
 use curvox_tools::plain::Solid;
@@ -105,6 +106,15 @@ fn moved_volumes_give_moved_values() {
         (Weights::Lumped, ii, Field::Constant),
         (Weights::Sharp, average, Field::Constant),
         (Weights::Dgtal, Estimator::Trivial, Field::Constant),
+        (
+            Weights::Lumped,
+            Estimator::VoronoiCovariance {
+                voronoi_radius: 7.0,
+                radius: 2.5,
+                side: Side::Surface,
+            },
+            Field::Constant,
+        ),
         (Weights::Lumped, average, Field::Interpolated),
         (Weights::Dgtal, average, Field::Linear),
     ] {

@@ -1,12 +1,25 @@
 //! The conventions in words: in the metadata of every table, in `summary.json`, and in `--help`.
 
-/// A sentence each; the last depends on whether the surface was closed at the border.
-pub(crate) fn sentences(closed: bool) -> Vec<String> {
+use crate::curvature::Method;
+
+/// A sentence each; what curvature is depends on the method, the last on whether the surface was
+/// closed at the border.
+pub(crate) fn sentences(closed: bool, method: Method) -> Vec<String> {
     let border = if closed {
         "The outside of the image counts as outside the solid: the surface is closed on the border of the image."
     } else {
         "No surfel lies on the border of the image: the surface is open there, and rows whose \
          neighbourhood the border cuts carry the flag `border`."
+    };
+    let curvature = match method {
+        Method::Measures => {
+            "H = mu1 / (2 mu0) and G = mu2 / mu0 of the ball; mu1 integrates to twice the integral of H; k1 <= k2."
+        }
+        Method::Invariants => {
+            "H, k1 <= k2 and G = k1 k2 are plain integral invariants: of the volume and covariance of the \
+             solid in a ball; they converge only for radii that shrink slower than the gridstep h, such as h^(1/3), \
+             and not for radii like h^(1/2)."
+        }
     };
     [
         "A triple is (x, y, z), x fastest; voxel p covers the unit cube centred at p.",
@@ -14,7 +27,7 @@ pub(crate) fn sentences(closed: bool) -> Vec<String> {
         "world = origin + direction * (spacing * index), with voxel (0, 0, 0) centred at the origin.",
         "Normals point outward, from inside to outside.",
         "A convex body has mean curvature H > 0; a sphere of radius R has H = 1/R and G = 1/R^2.",
-        "H = mu1 / (2 mu0) and G = mu2 / mu0 of the ball; mu1 integrates to twice the integral of H; k1 <= k2.",
+        curvature,
         "Lengths are in the world unit, areas in its square, H, k1, k2 in its inverse, G in its inverse squared.",
         border,
     ]

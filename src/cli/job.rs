@@ -75,6 +75,7 @@ impl JobArgs {
         let mut settings = Settings::new(lattice);
         settings.adjacency = method.adjacency;
         settings.estimator = method.estimator;
+        settings.curvature = method.curvature;
         settings.radii = method.radii.iter().map(|r| r.voxels).collect();
         settings.extent = method.extent;
         settings.weights = method.weights;
@@ -112,7 +113,7 @@ impl JobArgs {
             quality: method.quality,
             parameters: method.parameters(criterion),
             version: env!("CARGO_PKG_VERSION").to_owned(),
-            conventions: conventions::sentences(self.method.closed),
+            conventions: conventions::sentences(self.method.closed, method.curvature),
         };
         info.check()?;
         let binarizer = Binarizer::new(criterion, header.voxel, header.byte_order, header.scaling);

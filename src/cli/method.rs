@@ -5,10 +5,12 @@ use clap::{Args, ValueEnum};
 use curvox_formats::Unit;
 use serde_json::{Value, json};
 
+use crate::curvature;
 use crate::khalimsky::Adjacency;
 use crate::lattice::Lattice;
 use crate::measure::ball::{Extent, Weights};
 use crate::measure::field::Field;
+use crate::normal::vcm::Side;
 use crate::normal::{Estimator, Orientation};
 use crate::sink::RadiusInfo;
 use crate::volume::Criterion;
@@ -19,7 +21,7 @@ use super::lengths::Length;
 /// Options of the method.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct MethodArgs {
-    /// Radii of the balls the measures are summed over; several give columns for each [default: 3vx]
+    /// Radii of the balls the measures (or, with --curvature ii, the solid) are summed over; several give columns for each [default: 3vx]
     #[arg(
         long,
         value_name = "LENGTH[,LENGTH]",
@@ -32,7 +34,7 @@ pub(crate) struct MethodArgs {
     #[arg(long, value_name = "LENGTH", help_heading = "Method")]
     normal_radius: Option<Length>,
 
-    /// Normals: ii (digital integral invariants), average (of the surface), trivial [default: ii]
+    /// Normals: ii (digital integral invariants), vcm (Voronoi covariance measure), average (of the surface), trivial [default: ii]
     #[arg(
         long,
         value_enum,
@@ -42,7 +44,11 @@ pub(crate) struct MethodArgs {
     )]
     normals: Option<Normals>,
 
-    /// Which way ii normals point: moment (away from the solid), dgtal (as the surfel) [default: moment]
+    /// Where vcm normals cut the cells of the surface's pointels; what is looked at reaches twice as far [default: 10/3 of the radius of the normals]
+    #[arg(long, value_name = "LENGTH", help_heading = "Method")]
+    voronoi_radius: Option<Length>,
+
+    /// Which way normals point: moment (ii: away from the solid), surface (vcm: as the surface around), dgtal (DGtal's rule for either) [default: moment or surface]
     #[arg(
         long,
         value_enum,
@@ -68,6 +74,22 @@ pub(crate) struct MethodArgs {
         help_heading = "Method"
     )]
     field: FieldName,
+
+    /// Curvature: measures (corrected curvature measures), ii (plain integral invariants of the solid) [default: measures]
+    ///
+    /// ii takes H, G, k1, k2 from the volume and covariance of the solid in the ball of --radius; normals
+    /// and area stay what they are. It converges only if the radius shrinks slower than the gridstep h,
+    /// such as h^(1/3): at radii like h^(1/2), where the measures converge, its error stays. It is given to compare with.
+    #[arg(
+        long,
+        value_enum,
+        hide_possible_values = true,
+        default_value = "measures",
+        hide_default_value = true,
+        value_name = "NAME",
+        help_heading = "Method"
+    )]
+    curvature: CurvatureName,
 
     /// Surface summed: connected (to the surfel within the ball), whole (all of the ball) [default: connected]
     #[arg(
@@ -145,6 +167,7 @@ enum Method {
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq)]
 enum Normals {
     Ii,
+    Vcm,
     Average,
     Trivial,
 }
@@ -152,7 +175,14 @@ enum Normals {
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq)]
 enum OrientationRule {
     Moment,
+    Surface,
     Dgtal,
+}
+
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq)]
+enum CurvatureName {
+    Measures,
+    Ii,
 }
 
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq)]
@@ -178,6 +208,7 @@ enum AdjacencyName {
 #[derive(Clone, Debug)]
 pub(crate) struct ResolvedMethod {
     pub(crate) estimator: Estimator,
+    pub(crate) curvature: curvature::Method,
     pub(crate) extent: Extent,
     pub(crate) weights: Weights,
     pub(crate) adjacency: Adjacency,
@@ -198,6 +229,34 @@ fn name_of(value: impl ValueEnum) -> String {
 }
 
 impl MethodArgs {
+    /// The rule of orientation of normals that have one.
+    fn orientation(&self, normals: Normals) -> Result<Option<OrientationRule>> {
+        let own = match normals {
+            Normals::Ii => OrientationRule::Moment,
+            Normals::Vcm => OrientationRule::Surface,
+            Normals::Average | Normals::Trivial => {
+                return match self.orientation {
+                    None => Ok(None),
+                    Some(_) => Err(usage(format!(
+                        "--orientation is for --normals ii and vcm; {} normals have theirs",
+                        name_of(normals)
+                    ))),
+                };
+            }
+        };
+        match self.orientation {
+            None if self.method == Method::Paper => Ok(Some(OrientationRule::Dgtal)),
+            None => Ok(Some(own)),
+            Some(rule) if rule == own || rule == OrientationRule::Dgtal => Ok(Some(rule)),
+            Some(rule) => Err(usage(format!(
+                "--orientation {} is not for --normals {}, expected {} or dgtal",
+                name_of(rule),
+                name_of(normals),
+                name_of(own)
+            ))),
+        }
+    }
+
     /// Fills in defaults and converts lengths.
     ///
     /// # Errors
@@ -205,17 +264,20 @@ impl MethodArgs {
     pub(crate) fn resolve(&self, lattice: &Lattice, world: Unit) -> Result<ResolvedMethod> {
         let paper = self.method == Method::Paper;
         let normals = self.normals.unwrap_or(Normals::Ii);
-        let orientation = match (normals, self.orientation) {
-            (Normals::Ii, Some(given)) => given,
-            (Normals::Ii, None) if paper => OrientationRule::Dgtal,
-            (_, None) => OrientationRule::Moment,
-            (_, Some(_)) => {
+        let orientation = self.orientation(normals)?;
+        let by_invariants = self.curvature == CurvatureName::Ii;
+        for (flag, is_given) in [
+            ("--ball", self.ball.is_some()),
+            ("--weights", self.weights.is_some()),
+            ("--field", self.field != FieldName::Constant),
+            ("--quality", self.quality),
+        ] {
+            if by_invariants && is_given {
                 return Err(usage(format!(
-                    "--orientation is for --normals ii; {} normals have theirs",
-                    name_of(normals)
+                    "{flag} is for --curvature measures; integral invariants take all voxels of the ball"
                 )));
             }
-        };
+        }
         let ball = self.ball.unwrap_or(BallSet::Connected);
         let weights = self.weights.unwrap_or(if paper {
             WeightRule::Dgtal
@@ -263,23 +325,45 @@ impl MethodArgs {
         } else {
             Some(in_voxels("--normal-radius", normal_length)?)
         };
-        let estimator = match (normals, normal_radius) {
-            (Normals::Ii, Some(radius)) => Estimator::IntegralInvariant {
+        let as_dgtal = orientation == Some(OrientationRule::Dgtal);
+        let voronoi_radius = match (&self.voronoi_radius, normal_radius) {
+            (Some(_), _) if normals != Normals::Vcm => {
+                return Err(usage("--voronoi-radius is for --normals vcm"));
+            }
+            (Some(length), _) => Some(in_voxels("--voronoi-radius", length)?),
+            (None, Some(radius)) if normals == Normals::Vcm => {
+                let voxels = radius * 10.0 / 3.0;
+                lattice.metric().voxel_ball(voxels).map_err(|error| {
+                    usage(format!(
+                        "--voronoi-radius, by default 10/3 of {normal_length}: {error}"
+                    ))
+                })?;
+                Some(voxels)
+            }
+            _ => None,
+        };
+        let estimator = match (normals, normal_radius, voronoi_radius) {
+            (Normals::Ii, Some(radius), _) => Estimator::IntegralInvariant {
                 radius,
-                orientation: match orientation {
-                    OrientationRule::Moment => Orientation::Moment,
-                    OrientationRule::Dgtal => Orientation::Trivial,
+                orientation: if as_dgtal {
+                    Orientation::Trivial
+                } else {
+                    Orientation::Moment
                 },
             },
-            (Normals::Average, Some(radius)) => Estimator::SurfaceAverage { radius },
+            (Normals::Vcm, Some(radius), Some(voronoi_radius)) => Estimator::VoronoiCovariance {
+                voronoi_radius,
+                radius,
+                side: if as_dgtal { Side::Dgtal } else { Side::Surface },
+            },
+            (Normals::Average, Some(radius), _) => Estimator::SurfaceAverage { radius },
             _ => Estimator::Trivial,
         };
         let mut parameters = json!({
             "normals": name_of(normals),
             "field": name_of(self.field),
+            "curvature": name_of(self.curvature),
             "radii": asked.iter().map(ToString::to_string).collect::<Vec<_>>(),
-            "ball": name_of(ball),
-            "weights": name_of(weights),
             "adjacency": name_of(self.adjacency),
             "closed": self.closed,
             "directions": self.directions,
@@ -289,11 +373,22 @@ impl MethodArgs {
             parameters["normal_radius"] = json!(normal_length.to_string());
             parameters["normal_radius_voxels"] = json!(radius);
         }
-        if normals == Normals::Ii {
+        if !by_invariants {
+            parameters["ball"] = json!(name_of(ball));
+            parameters["weights"] = json!(name_of(weights));
+        }
+        if let Some(orientation) = orientation {
             parameters["orientation"] = json!(name_of(orientation));
+        }
+        if let Some(radius) = voronoi_radius {
+            parameters["voronoi_radius_voxels"] = json!(radius);
         }
         Ok(ResolvedMethod {
             estimator,
+            curvature: match self.curvature {
+                CurvatureName::Measures => curvature::Method::Measures,
+                CurvatureName::Ii => curvature::Method::Invariants,
+            },
             extent: match ball {
                 BallSet::Connected => Extent::Connected,
                 BallSet::Whole => Extent::Whole,

@@ -4,6 +4,7 @@ use std::fmt::Write;
 
 use serde_json::{Value, json};
 
+use crate::curvature::Method;
 use crate::lattice::Lattice;
 use crate::measure::field::Field;
 use crate::measure::fixed;
@@ -68,6 +69,14 @@ impl Facts {
                      steps of the grid show; take a larger radius"
                 ));
             }
+        }
+        if job.settings.curvature == Method::Invariants {
+            warnings.push(
+                "curvature is by plain integral invariants (--curvature ii), given to compare with: it \
+                 does not converge for radii that shrink like the square root of the gridstep, and other \
+                 sheets in the ball disturb it"
+                    .into(),
+            );
         }
         Self {
             otsu: job.otsu,

@@ -1,4 +1,4 @@
-//! Measures to curvatures, in world units.
+//! Curvatures, in world units: from measures, or by plain integral invariants ([`integral`]).
 //!
 //! Comes in: sums over a ball ([`BallSums`]) in voxel units, and `u` at its centre. Goes out:
 //! [`Curvature`]: H = mu1 / (2 mu0), G = mu2 / mu0, k1 <= k2 and their directions. This is the one
@@ -17,6 +17,8 @@
 //! Guaranteed: k1 <= k2; directions are unit vectors, up to sign. Not guaranteed: a meaning of the
 //! directions at umbilics, where k1 = k2.
 
+pub mod integral;
+
 use glam::DVec3;
 
 use crate::measure::ball::BallSums;
@@ -25,6 +27,16 @@ use crate::symmetric::{Symmetric, eigen};
 /// Penalty on the normal direction. Much smaller, and the normal part of the tensor mixes with
 /// the principal directions; much larger, and rounding of the eigenvalues shows. DGtal's value.
 const NORMAL_PENALTY: f64 = 1000.0;
+
+/// Where curvatures come from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Method {
+    /// The corrected curvature measures.
+    #[default]
+    Measures,
+    /// Plain integral invariants: see [`integral`].
+    Invariants,
+}
 
 /// Curvatures at a surfel, in world units.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -41,7 +53,7 @@ pub struct Curvature {
     pub d1: DVec3,
     /// Direction of `k2`, in image axes.
     pub d2: DVec3,
-    /// mu_Omega / mu0; 0 unless mu_Omega was evaluated.
+    /// mu_Omega / mu0; 0 unless mu_Omega was evaluated, not a number with integral invariants.
     pub quality: f64,
 }
 

@@ -84,11 +84,21 @@ impl Work for MomentsOf<'_> {
 
 /// Moments of the solid in a ball about its centre, in voxels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-struct Moments {
-    count: i64,
+pub(crate) struct Moments {
+    pub(crate) count: i64,
     first: [i64; 3],
     /// xx, yy, zz, xy, xz, yz
     second: [i64; 6],
+}
+
+/// Moments about the voxels beside some surfels.
+pub(crate) struct BesideSurfels {
+    /// The voxels in reach.
+    pub(crate) bits: BitBox,
+    /// One for each voxel that is inner or outer to a surfel.
+    pub(crate) moments: Vec<Moments>,
+    /// For each surfel the numbers of its inner and its outer voxel.
+    pub(crate) pairs: Vec<(u32, u32)>,
 }
 
 impl IntegralKernel {
@@ -127,7 +137,7 @@ impl IntegralKernel {
         }
     }
 
-    pub(super) fn ball(&self) -> &Ball {
+    pub(crate) fn ball(&self) -> &Ball {
         &self.ball
     }
 
@@ -191,7 +201,7 @@ impl IntegralKernel {
     }
 
     /// Covariance in voxel units; zero where there is no voxel.
-    fn covariance(&self, m: &Moments) -> Symmetric {
+    pub(crate) fn covariance(&self, m: &Moments) -> Symmetric {
         if m.count == 0 {
             return Symmetric::default();
         }
@@ -205,17 +215,13 @@ impl IntegralKernel {
         }))
     }
 
-    pub(super) fn estimate(
+    /// The moments about the inner and outer voxels of the surfels of `core`.
+    pub(crate) fn beside(
         &self,
         window: &PlaneWindow,
-        lattice: &Lattice,
         core: CellBox,
         surfels: &Surfels,
-    ) -> Normals {
-        let mut normals = Normals::default();
-        if surfels.list.is_empty() {
-            return normals;
-        }
+    ) -> BesideSurfels {
         let reach = self.ball.reach();
         let lo = [0, 1, 2].map(|a| core.lo[a] - 1 - reach[a]);
         let hi = [0, 1, 2].map(|a| core.hi[a] + reach[a]);
@@ -245,6 +251,29 @@ impl IntegralKernel {
             bits: &bits,
             voxels: &voxels,
         });
+        BesideSurfels {
+            bits,
+            moments,
+            pairs,
+        }
+    }
+
+    pub(super) fn estimate(
+        &self,
+        window: &PlaneWindow,
+        lattice: &Lattice,
+        core: CellBox,
+        surfels: &Surfels,
+    ) -> Normals {
+        let mut normals = Normals::default();
+        if surfels.list.is_empty() {
+            return normals;
+        }
+        let BesideSurfels {
+            bits,
+            moments,
+            pairs,
+        } = self.beside(window, core, surfels);
         let evaluated: Vec<(Symmetric, [i64; 3])> = moments
             .iter()
             .map(|m| (self.covariance(m), m.first))
@@ -283,7 +312,7 @@ impl IntegralKernel {
     /// Whether the ball of a surfel leaves the image where the solid meets the border (within the
     /// box around the ball): how it goes on is unknown, and it was taken to end there. A solid
     /// that stays clear of the border is taken to be all there is.
-    fn is_cut(&self, bits: &BitBox, surfel: OrientedSurfel, lattice: &Lattice) -> bool {
+    pub(crate) fn is_cut(&self, bits: &BitBox, surfel: OrientedSurfel, lattice: &Lattice) -> bool {
         let reach = self.ball.reach();
         let (p, q) = (surfel.inner, surfel.outer());
         let last = lattice.dims.map(|n| n as i32 - 1);

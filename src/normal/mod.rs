@@ -8,6 +8,7 @@
 //! |---|---|---|
 //! | [`trivial`] | the surfel's own direction; the measures become those of the normal cycle | 6.1.3, TN |
 //! | [`integral`] | covariance of the solid in a ball (digital integral invariants) | 6.1.3, II |
+//! | [`vcm`] | covariance of the Voronoi cells of the surface's pointels | 6.1.3, VCM |
 //! | [`average`] | the trivial normals of the connected surface in a ball | introduction: "a local average of the naive normals" |
 //!
 //! Guaranteed: `|u| = 1` to rounding; a surfel where nothing can be estimated gets its trivial
@@ -17,6 +18,7 @@
 pub mod average;
 pub mod integral;
 pub mod trivial;
+pub mod vcm;
 
 use glam::DVec3;
 
@@ -48,6 +50,15 @@ pub enum Estimator {
         /// Which way u points.
         orientation: Orientation,
     },
+    /// The Voronoi covariance measure.
+    VoronoiCovariance {
+        /// R: cells are cut at this distance from their site.
+        voronoi_radius: f64,
+        /// r: radius of the hat the cells are summed with.
+        radius: f64,
+        /// Which way u points.
+        side: vcm::Side,
+    },
     /// Average of the trivial normals of the surface connected to the surfel in a ball.
     SurfaceAverage {
         /// Radius of the ball of surfels.
@@ -75,6 +86,8 @@ pub enum NormalKernel {
     Trivial,
     /// See [`integral`].
     Integral(integral::IntegralKernel),
+    /// See [`vcm`].
+    Vcm(vcm::VcmKernel),
     /// See [`average`].
     Average(average::AverageKernel),
 }
@@ -99,6 +112,17 @@ impl NormalKernel {
                 lattice.edges(),
                 orientation,
             )),
+            Estimator::VoronoiCovariance {
+                voronoi_radius,
+                radius,
+                side,
+            } => Self::Vcm(vcm::VcmKernel::new(
+                voronoi_radius,
+                radius,
+                side,
+                lattice,
+                adjacency,
+            )?),
             Estimator::SurfaceAverage { radius } => Self::Average(average::AverageKernel::new(
                 lattice.metric().khalimsky_ball(radius)?,
                 lattice.edges(),
@@ -114,6 +138,7 @@ impl NormalKernel {
             Self::Trivial => [0; 3],
             // one more for the inner or outer voxel, which may be the cell below
             Self::Integral(kernel) => kernel.ball().reach().map(|r| r + 1),
+            Self::Vcm(kernel) => kernel.reach(),
             // the bits around the surfels in the ball tell how they join
             Self::Average(kernel) => kernel.ball().reach().map(|r| r + 1),
         }
@@ -125,7 +150,18 @@ impl NormalKernel {
         match self {
             Self::Trivial => None,
             Self::Integral(kernel) => Some(kernel.ball()),
+            Self::Vcm(kernel) => Some(kernel.ball()),
             Self::Average(kernel) => Some(kernel.ball()),
+        }
+    }
+
+    /// Memory while the normals of a brick of at most `core` cells are made, for the worst volume;
+    /// `None` if that is what the surfels within reach take.
+    #[must_use]
+    pub fn scratch_bytes(&self, core: [i32; 3]) -> Option<u64> {
+        match self {
+            Self::Trivial | Self::Integral(_) | Self::Average(_) => None,
+            Self::Vcm(kernel) => Some(kernel.scratch_bytes(core)),
         }
     }
 
@@ -141,6 +177,7 @@ impl NormalKernel {
         match self {
             Self::Trivial => trivial::estimate(surfels, lattice),
             Self::Integral(kernel) => kernel.estimate(window, lattice, core, surfels),
+            Self::Vcm(kernel) => kernel.estimate(window, lattice, core, surfels),
             Self::Average(kernel) => kernel.estimate(window, lattice, core, surfels),
         }
     }

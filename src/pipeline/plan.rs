@@ -11,7 +11,7 @@
 //! | surfels in flight | [`Plan::surfel_bytes`] each, within 3/4 of [`Plan::surfel_budget_bytes`] |
 //! | rows | [`Plan::row_bytes`] a surfel of a slab, [`Plan::sent_row_bytes`] a surfel of its densest plane, within 1/4 of it |
 //! | mu_Omega, if asked for | 8 bytes more a surfel in flight and of scratch (18 where linels are kept), 4 a row and radius |
-//! | scratch of a worker | [`SCRATCH_BYTES`] a surfel of a brick with its halo ([`CELL_SCRATCH_BYTES`] where linels and pointels are kept) |
+//! | scratch of a worker | [`SCRATCH_BYTES`] a surfel of a brick with its halo ([`CELL_SCRATCH_BYTES`] where linels and pointels are kept), or more where normals need it ([`NormalKernel::scratch_bytes`]) |
 //!
 //! The number of surfels is only known when they are met, so slabs adapt: a slab is lowered until
 //! the surfels that must be held at once fit ([`Plan::surfel_budget_bytes`]); a surface that does
@@ -19,6 +19,7 @@
 
 use serde::Serialize;
 
+use crate::curvature::integral::InvariantKernel;
 use crate::lattice::Lattice;
 use crate::measure::ball::{BallKernel, Weights};
 use crate::normal::NormalKernel;
@@ -40,11 +41,17 @@ pub const CELL_SCRATCH_BYTES: u64 = 300;
 /// Scratch of a worker for each surfel that a normal may look at.
 const NORMAL_SCRATCH_BYTES: u64 = 50;
 
+/// Scratch of a worker for each voxel of a brick whose integral invariants are taken, at worst.
+const INVARIANT_SCRATCH_BYTES: u64 = 300;
+
 /// Surfels a voxel of the worst volumes: random noise has 1.5.
 const DENSE: f64 = 1.6;
 
 /// Stored bytes read at a time; more only makes the buffer larger.
 const READ_BYTES: u64 = 4 << 20;
+
+/// Reaches of normals beyond this ask for bricks of more than 64 voxels.
+const WIDE_REACH: i32 = 40;
 
 /// Slabs with an index held at once beside the planes within reach of the sums: three in the
 /// window of the sums, which reach cuts anywhere, one in a channel, one measured and one it waits
@@ -69,7 +76,7 @@ pub struct Plan {
     pub read_planes: u64,
     /// Reach of the normals, in voxels.
     pub normal_reach: [i32; 3],
-    /// Reach of the sums, in cells: the halo of a brick.
+    /// Reach of the sums or integral invariants, in cells: the halo of a brick.
     pub ball_reach: [i32; 3],
     /// Memory of bits and indices.
     pub bits_bytes: u64,
@@ -123,6 +130,8 @@ pub struct PlanRequest<'a> {
     pub normals: &'a NormalKernel,
     /// The sums, one for each radius.
     pub balls: &'a [BallKernel],
+    /// The plain integral invariants, one for each radius; then there are no sums.
+    pub invariants: &'a [InvariantKernel],
     /// Whether directions are among the results.
     pub directions: bool,
     /// Whether mu_Omega is among them.
@@ -194,12 +203,15 @@ impl Plan {
             lattice,
             normals,
             balls,
+            invariants,
             ..
         } = *request;
-        let ball_reach = balls.iter().fold([1; 3], |reach: [i32; 3], ball| {
-            let other = ball.reach();
-            [0, 1, 2].map(|a| reach[a].max(other[a]))
-        });
+        let reaches = balls.iter().map(BallKernel::reach);
+        let ball_reach = reaches
+            .chain(invariants.iter().map(InvariantKernel::reach))
+            .fold([1; 3], |reach: [i32; 3], other| {
+                [0, 1, 2].map(|a| reach[a].max(other[a]))
+            });
         let normal_reach = normals.reach();
         let widest = ball_reach
             .into_iter()
@@ -215,7 +227,7 @@ impl Plan {
             return Err(PlanError::Brick(edge));
         }
         let lumped = balls.iter().all(|b| b.weights() == Weights::Lumped);
-        let radii = balls.len() as u64;
+        let radii = (balls.len() + invariants.len()) as u64;
         let only_if = |asked: bool, bytes: u64| if asked { bytes } else { 0 };
         let asked_bytes = only_if(request.directions, 24) + only_if(request.quality, 4);
         let row_bytes = 32 + radii * (20 + asked_bytes);
@@ -259,9 +271,21 @@ impl Plan {
                     * f64::from((slab + 2 * reach[2]).min(lattice.dims[2] as i32 + 1));
                 (cells * DENSE * bytes as f64) as u64
             };
-            let most =
-                grown(ball_reach, surfel_scratch).max(grown(normal_reach, NORMAL_SCRATCH_BYTES));
-            most * request.threads as u64
+            let core = [0, 1, 2].map(|a| [edge, edge, slab][a].min(lattice.dims[a] as i32 + 1));
+            let of_normals = normals
+                .scratch_bytes(core)
+                .unwrap_or_else(|| grown(normal_reach, NORMAL_SCRATCH_BYTES));
+            let of_sums = if invariants.is_empty() {
+                grown(ball_reach, surfel_scratch)
+            } else {
+                // surfels of the core alone, and the bits around it
+                let volume = |grown: fn(i32) -> i32| -> u64 {
+                    let along = |a: usize| (core[a] + grown(ball_reach[a])) as u64;
+                    along(0) * along(1) * along(2)
+                };
+                volume(|_| 2) * INVARIANT_SCRATCH_BYTES + volume(|reach| 2 * reach + 128) / 8
+            };
+            of_sums.max(of_normals) * request.threads as u64
         };
         let base = fixed_bytes.saturating_add(read_bytes);
         let left = request.memory_bytes.saturating_sub(base);
@@ -269,12 +293,19 @@ impl Plan {
         let fits = |edge: i32, slab: i32| {
             bits_bytes(edge, slab) <= left / 8 * 3 && scratch_bytes(edge, slab) <= left / 4
         };
-        const HEIGHTS: [i32; 12] = [64, 48, 32, 24, 16, 12, 8, 6, 4, 3, 2, 1];
+        const HEIGHTS: [i32; 14] = [128, 96, 64, 48, 32, 24, 16, 12, 8, 6, 4, 3, 2, 1];
+        const EDGES: [i32; 7] = [128, 96, 64, 48, 32, 24, 16];
+        // Work done again in rims as wide as a brick would be most of the work.
+        let small = if normal_reach.into_iter().max() > Some(WIDE_REACH) {
+            0
+        } else {
+            2
+        };
         let edges: &[i32] = match request.brick {
             Some(ref edge) => std::slice::from_ref(edge),
-            None => &[64, 48, 32, 24, 16],
+            None => &EDGES[small..],
         };
-        let chosen = HEIGHTS
+        let chosen = HEIGHTS[small..]
             .iter()
             .flat_map(|&slab| edges.iter().map(move |&edge| (edge, slab.min(edge))))
             // low slabs beside wide bricks halo as much as narrow bricks do: prefer cubes

@@ -5,13 +5,14 @@ use std::ops::Range;
 use glam::DVec3;
 
 use crate::curvature::Curvature;
-use crate::khalimsky::sign;
+use crate::khalimsky::{OrientedSurfel, sign};
 use crate::measure::ball::{BallSums, LocalMeasures};
 use crate::measure::cells::{CellMeasures, mark};
 use crate::measure::fixed;
 use crate::measure::surface::Surface;
 use crate::sink::{CurvatureColumns, Flag, FlagSet, SurfelBatch};
-use crate::surfel::CellBox;
+use crate::surfel::{CellBox, Surfels};
+use crate::volume::PlaneWindow;
 
 use super::shared::Shared;
 
@@ -73,7 +74,7 @@ pub(super) fn empty_batch(shared: &Shared<'_>, column: [u32; 2], count: usize) -
         position: triple(),
         normal: triple(),
         area: floats(),
-        curvatures: shared.kernels.balls.iter().map(curvatures).collect(),
+        curvatures: shared.settings.radii.iter().map(curvatures).collect(),
     }
 }
 
@@ -86,31 +87,20 @@ impl BrickRows {
         u: &[DVec3],
         own: &CellMeasures,
     ) -> Self {
-        let lattice = shared.lattice;
-        let unit = lattice.voxel_unit_world();
-        let balls = &shared.kernels.balls;
-        let mut rows = Self {
-            surfels: Vec::with_capacity(u.len()),
-            ..Default::default()
-        };
+        let unit = shared.lattice.voxel_unit_world();
         let cores: Vec<usize> = (0..surface.len())
             .filter(|&i| core.contains(surface.surfels.oriented(i).cell()))
             .collect();
-        for (number, &start) in cores.iter().enumerate() {
-            let surfel = surface.surfels.oriented(start);
-            let mu0 = if own.lumped.is_empty() {
-                own.mu0[number]
-            } else {
-                own.lumped[number][0]
-            };
-            rows.surfels.push(SurfelRow {
-                k: surfel.khalimsky(),
-                side: sign(surfel.orientation) as i8,
-                normal: to_world(shared, u[number]),
-                area: (fixed::to_measure(i128::from(mu0)) * unit * unit) as f32,
-            });
-        }
-        for ball in balls {
+        let mut rows = Self {
+            surfels: surfel_rows(
+                shared,
+                cores.iter().map(|&i| surface.surfels.oriented(i)),
+                u,
+                own,
+            ),
+            ..Default::default()
+        };
+        for ball in &shared.kernels.balls {
             let radius_world = ball.radius() * unit;
             let mut curvatures = Vec::with_capacity(u.len());
             let mut principal = Vec::new();
@@ -135,6 +125,47 @@ impl BrickRows {
             }
             if shared.settings.quality {
                 rows.quality.push(quality);
+            }
+        }
+        rows
+    }
+
+    /// Rows whose curvatures are plain integral invariants. `surfels` are those of `core`.
+    pub(super) fn by_invariants(
+        shared: &Shared<'_>,
+        voxels: &PlaneWindow,
+        core: CellBox,
+        surfels: &Surfels,
+        u: &[DVec3],
+        own: &CellMeasures,
+    ) -> Self {
+        let unit = shared.lattice.voxel_unit_world();
+        let oriented = (0..surfels.list.len()).map(|i| surfels.oriented(i));
+        let mut rows = Self {
+            surfels: surfel_rows(shared, oriented, u, own),
+            ..Default::default()
+        };
+        for kernel in &shared.kernels.invariants {
+            let radius_world = kernel.radius() * unit;
+            let found = kernel.curvatures(voxels, shared.lattice, core, surfels);
+            let curvatures = found.iter().zip(&own.marks).map(|((c, cut), &marks)| {
+                let mut flags = mark_flags(marks) | curvature_flags(Some(c), radius_world);
+                if *cut || marks & mark::CUT != 0 {
+                    flags |= Flag::Border.bit();
+                }
+                CurvatureRow {
+                    values: [c.mean, c.gaussian, c.k1, c.k2].map(|x| x as f32),
+                    flags,
+                }
+            });
+            rows.curvatures.push(curvatures.collect());
+            if shared.settings.directions {
+                let principal = found.iter().map(|(c, _)| directions(shared, Some(c)));
+                rows.directions.push(principal.collect());
+            }
+            if shared.settings.quality {
+                let quality = found.iter().map(|(c, _)| c.quality as f32);
+                rows.quality.push(quality.collect());
             }
         }
         rows
@@ -208,23 +239,61 @@ fn to_world(shared: &Shared<'_>, v: DVec3) -> [f32; 3] {
         .map(|x| x as f32)
 }
 
+/// What does not depend on the radius.
+fn surfel_rows(
+    shared: &Shared<'_>,
+    surfels: impl Iterator<Item = OrientedSurfel>,
+    u: &[DVec3],
+    own: &CellMeasures,
+) -> Vec<SurfelRow> {
+    let unit = shared.lattice.voxel_unit_world();
+    surfels
+        .enumerate()
+        .map(|(number, surfel)| {
+            let mu0 = if own.lumped.is_empty() {
+                own.mu0[number]
+            } else {
+                own.lumped[number][0]
+            };
+            SurfelRow {
+                k: surfel.khalimsky(),
+                side: sign(surfel.orientation) as i8,
+                normal: to_world(shared, u[number]),
+                area: (fixed::to_measure(i128::from(mu0)) * unit * unit) as f32,
+            }
+        })
+        .collect()
+}
+
+/// The flags, of those given, whose condition holds.
+fn flags_of<const N: usize>(conditions: [(bool, Flag); N]) -> FlagSet {
+    let set = conditions.into_iter().filter(|&(on, _)| on);
+    set.fold(0, |flags, (_, flag)| flags | flag.bit())
+}
+
 fn flags(sums: &BallSums, marks: u8, curvature: Option<&Curvature>, radius_world: f64) -> FlagSet {
-    let mut flags = 0;
-    let mut set = |on: bool, flag: Flag| {
-        if on {
-            flags |= flag.bit();
-        }
-    };
-    set(sums.cut, Flag::Border);
-    set(sums.several_sheets, Flag::SeveralSheets);
-    set(sums.rim.is_island(), Flag::Island);
-    set(marks & mark::OPPOSED != 0, Flag::NormalOpposed);
-    set(marks & mark::LIFTED != 0, Flag::Lifted);
-    set(marks & mark::DEGENERATE != 0, Flag::DegenerateNormal);
-    set(curvature.is_none(), Flag::NoArea);
-    if let Some(c) = curvature {
-        let largest = c.k1.abs().max(c.k2.abs());
-        set(largest * radius_world > 1.0, Flag::RadiusTooLarge);
-    }
-    flags
+    flags_of([
+        (sums.cut, Flag::Border),
+        (sums.several_sheets, Flag::SeveralSheets),
+        (sums.rim.is_island(), Flag::Island),
+    ]) | mark_flags(marks)
+        | curvature_flags(curvature, radius_world)
+}
+
+/// What was known of the surfel before any ball.
+fn mark_flags(marks: u8) -> FlagSet {
+    flags_of([
+        (marks & mark::OPPOSED != 0, Flag::NormalOpposed),
+        (marks & mark::LIFTED != 0, Flag::Lifted),
+        (marks & mark::DEGENERATE != 0, Flag::DegenerateNormal),
+    ])
+}
+
+/// What the values tell.
+fn curvature_flags(curvature: Option<&Curvature>, radius_world: f64) -> FlagSet {
+    let largest = curvature.map_or(0.0, |c| c.k1.abs().max(c.k2.abs()));
+    flags_of([
+        (curvature.is_none(), Flag::NoArea),
+        (largest * radius_world > 1.0, Flag::RadiusTooLarge),
+    ])
 }

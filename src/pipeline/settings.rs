@@ -1,5 +1,7 @@
 //! What to compute, and the kernels made ready for it.
 
+use crate::curvature::Method;
+use crate::curvature::integral::InvariantKernel;
 use crate::error::Error;
 use crate::khalimsky::Adjacency;
 use crate::lattice::Lattice;
@@ -20,7 +22,9 @@ pub struct Settings {
     pub estimator: Estimator,
     /// How the normals are continued over the surface.
     pub field: Field,
-    /// Radii of the balls of the measures, in voxel units.
+    /// Where curvatures come from.
+    pub curvature: Method,
+    /// Radii of the balls of the measures, or of the integral invariants, in voxel units.
     pub radii: Vec<f64>,
     /// Which part of the surface in a ball is summed.
     pub extent: Extent,
@@ -41,7 +45,10 @@ pub struct Settings {
 /// Settings made ready.
 pub(super) struct Kernels {
     pub(super) normals: NormalKernel,
+    /// One a radius, or none where curvatures come from invariants.
     pub(super) balls: Vec<BallKernel>,
+    /// One a radius, or none where curvatures come from measures.
+    pub(super) invariants: Vec<InvariantKernel>,
 }
 
 impl Settings {
@@ -57,6 +64,7 @@ impl Settings {
                 orientation: Orientation::Moment,
             },
             field: Field::Constant,
+            curvature: Method::Measures,
             radii: vec![3.0],
             extent: Extent::Connected,
             weights: Weights::Lumped,
@@ -70,12 +78,25 @@ impl Settings {
 
     pub(super) fn kernels(&self) -> Result<Kernels, Error> {
         let normals = NormalKernel::new(self.estimator, &self.lattice, self.adjacency)?;
-        let balls = self
-            .radii
-            .iter()
-            .map(|&radius| BallKernel::new(radius, self.extent, self.weights, &self.lattice))
-            .collect::<Result<_, _>>()?;
-        Ok(Kernels { normals, balls })
+        let (mut balls, mut invariants) = (Vec::new(), Vec::new());
+        for &radius in &self.radii {
+            match self.curvature {
+                Method::Measures => {
+                    balls.push(BallKernel::new(
+                        radius,
+                        self.extent,
+                        self.weights,
+                        &self.lattice,
+                    )?);
+                }
+                Method::Invariants => invariants.push(InvariantKernel::new(radius, &self.lattice)?),
+            }
+        }
+        Ok(Kernels {
+            normals,
+            balls,
+            invariants,
+        })
     }
 
     /// How a run of these settings would use its memory.
@@ -88,6 +109,7 @@ impl Settings {
             lattice: &self.lattice,
             normals: &kernels.normals,
             balls: &kernels.balls,
+            invariants: &kernels.invariants,
             directions: self.directions,
             quality: self.quality,
             memory_bytes: self.memory_bytes,

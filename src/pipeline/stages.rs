@@ -10,6 +10,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::brick::{BrickGrid, Slab, SlabWindow};
+use crate::curvature::Method;
 use crate::error::Error;
 use crate::measure::ball::LocalMeasures;
 use crate::measure::cells::{self, Asked, CellMeasures, CellTotals, Keep, mark};
@@ -330,7 +331,11 @@ fn asked(shared: &Shared<'_>) -> Asked {
     let settings = shared.settings;
     Asked {
         field: settings.field,
-        keep: settings.field.keep(settings.weights),
+        keep: if shared.kernels.balls.is_empty() {
+            Keep::Lumped
+        } else {
+            settings.field.keep(settings.weights)
+        },
         quality: settings.quality,
     }
 }
@@ -484,6 +489,13 @@ fn row_brick(
     number: usize,
 ) -> BrickRows {
     let core = grid.core(number, &slab.z());
+    let brick = &slab.normals.bricks[number];
+    if shared.settings.curvature == Method::Invariants {
+        let bits = BitBox::cut(voxels, core.lo.map(|c| c - 1), core.hi.map(|c| c + 1));
+        let surfels = Surfels::list(&brick.index, &bits);
+        let own = &slab.measures[number];
+        return BrickRows::by_invariants(shared, voxels, core, &surfels, &brick.u, own);
+    }
     let around = core.grown(shared.plan.ball_reach, grid.cell_dims);
     let surface = Surface::extract(voxels, around, shared.lattice, shared.settings.adjacency);
     let mut gathered = CellMeasures::default();
@@ -525,7 +537,6 @@ fn row_brick(
         }
     });
     let measures = LocalMeasures::new(&surface, gathered);
-    let brick = &slab.normals.bricks[number];
     BrickRows::compute(
         shared,
         &surface,

@@ -54,6 +54,14 @@ pub(crate) fn column_descriptions(info: &TableInfo) -> Vec<(String, String)> {
         "area".into(),
         format!("corrected area mu0 of the surfel, in {unit}^2"),
     );
+    let [mean, gaussian] = if info.parameters["curvature"] == "ii" {
+        [
+            "H by plain integral invariants",
+            "G = k1 k2 by plain integral invariants",
+        ]
+    } else {
+        ["H = mu1 / (2 mu0)", "G = mu2 / mu0"]
+    };
     for radius in &info.radii {
         let end = if info.radii.len() > 1 {
             radius.suffix()
@@ -63,11 +71,11 @@ pub(crate) fn column_descriptions(info: &TableInfo) -> Vec<(String, String)> {
         let at = format!("at radius {}", radius.label);
         add(
             format!("mean_curvature{end}"),
-            format!("H = mu1 / (2 mu0) {at}, in 1/{unit}"),
+            format!("{mean} {at}, in 1/{unit}"),
         );
         add(
             format!("gaussian_curvature{end}"),
-            format!("G = mu2 / mu0 {at}, in 1/{unit}^2"),
+            format!("{gaussian} {at}, in 1/{unit}^2"),
         );
         add(
             format!("k1{end}"),

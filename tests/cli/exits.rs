@@ -23,7 +23,7 @@ fn usage_errors_give_2() {
     let out = place.text("out");
     for (wrong, expected) in [
         (&["--threshold", "1", "--radius", "3"][..], "3vx"),
-        (&["--threshold", "1", "--radius", "60vx"], "at most 56"),
+        (&["--threshold", "1", "--radius", "64vx"], "at most 63"),
         (&["--threshold", "1", "--radius", "3um"], "--spacing"),
         (&["--threshold", "1", "--radius", "3vx,3vx"], "twice"),
         (&["--threshold", "1", "--memory", "1"], "1GiB"),

@@ -12,8 +12,8 @@ use crate::goursat;
 use crate::npz::Table;
 use crate::plain::algebra::{Vector, dot, norm, normalised};
 use crate::plain::{
-    BallKind, Cells, Estimator, Orientation, Scale, Settings, Solid, Surface, Weights, measure,
-    normals,
+    BallKind, Cells, Estimator, Orientation, Scale, Settings, Solid, Surface, Ties, Weights,
+    measure, normals,
 };
 
 /// Errors of one quantity over all surfels.
@@ -171,6 +171,15 @@ impl KnownShape {
         for (name, estimator) in [
             ("II moment", invariant(Orientation::Moment)),
             ("II dgtal", invariant(Orientation::Dgtal)),
+            (
+                "VCM",
+                Estimator::VoronoiCovariance {
+                    voronoi_radius_world: radius_world * 10.0 / 3.0,
+                    radius_world,
+                    ties: Ties::Shared,
+                    orientation: Orientation::Surface,
+                },
+            ),
             ("average", Estimator::SurfaceAverage { radius_world }),
         ] {
             let start = Instant::now();

@@ -4,6 +4,8 @@ use std::path::PathBuf;
 
 use curvox_tools::agreement::{Comparison, compare};
 use curvox_tools::npz::Table;
+use curvox_tools::plain::algebra::{dot, normalised};
+use curvox_tools::plain::{Adjacency, Estimator, Orientation, Scale, Surface, Ties, normals};
 use curvox_tools::{goursat, vol};
 
 /// The folder an environment variable names; says so if it is not set.
@@ -71,4 +73,48 @@ fn every_row_of_the_dragon_is_explained() {
     // Rows that agree in G though they have a cause: what their fans add cancels.
     let gaussian = by_rule.columns[2].caused;
     assert_eq!(gaussian.rows - gaussian.beyond, by_rule.cancelled);
+}
+
+#[test]
+fn voronoi_normals_of_goursat_are_dgtals_up_to_ties() {
+    let Some(reference) = folder("CURVOX_TEST_REFERENCE", "Voronoi normals of Goursat") else {
+        return;
+    };
+    for (gridstep, rms, most) in [(1.0, 1.5, 4.0), (0.5, 0.75, 2.0)] {
+        let table = Table::read(&reference.join(format!("goursat_h{gridstep}.npz"))).unwrap();
+        let (solid, origin) = goursat::digitised(gridstep);
+        let scale = Scale::new([gridstep; 3]);
+        let surface = Surface::new(&solid, false, Adjacency::Interior);
+        let by = |ties| {
+            let estimator = Estimator::VoronoiCovariance {
+                voronoi_radius_world: 10.0 * gridstep.sqrt(),
+                radius_world: 3.0 * gridstep.sqrt(),
+                ties,
+                orientation: Orientation::Dgtal,
+            };
+            normals::estimate(&solid, &surface, &scale, estimator).u
+        };
+        let (last, shared) = (by(Ties::Last), by(Ties::Shared));
+        let expected = table.triples("normal_VCM").unwrap();
+        let (mut squares, mut largest) = (0.0f64, 0.0f64);
+        for (place, u) in table.triples("k").unwrap().iter().zip(&expected) {
+            let k = place.map(|k| k as i32 + 2 * origin);
+            let f = surface.find(k).unwrap() as usize;
+            // DGtal averages four unit vectors and leaves the length as it is.
+            let u = normalised(*u);
+            for a in 0..3 {
+                assert!(
+                    (last[f][a] - u[a]).abs() < 1e-9,
+                    "{k:?} {:?} {u:?}",
+                    last[f]
+                );
+            }
+            let angle = dot(shared[f], u).clamp(-1.0, 1.0).acos().to_degrees();
+            squares += angle * angle;
+            largest = largest.max(angle);
+        }
+        let found = (squares / expected.len() as f64).sqrt();
+        println!("h = {gridstep}: rms {found} degrees, largest {largest}");
+        assert!(found < rms && largest < most, "{found} {largest}");
+    }
 }

@@ -14,11 +14,13 @@ pub mod cells;
 pub mod curvature;
 pub mod field;
 pub mod formula;
+pub mod invariants;
 pub mod normals;
 pub mod solid;
 pub mod sums;
 pub mod surface;
 pub mod totals;
+pub mod voronoi;
 pub mod walk;
 
 pub use cells::Cells;
@@ -29,6 +31,7 @@ pub use solid::{Scale, Solid};
 pub use sums::{Ball, BallKind, FixedSums, Sums, Weights};
 pub use surface::{Adjacency, Surface, Surfel};
 pub use totals::{SolidTotals, Totals};
+pub use voronoi::Ties;
 pub use walk::Walk;
 
 use algebra::{Vector, dot};

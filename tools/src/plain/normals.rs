@@ -6,6 +6,7 @@
 use super::algebra::{ENTRIES, Symmetric, Vector, dot, eigen, norm, normalised, scaled};
 use super::solid::{LatticeBall, Scale, Solid};
 use super::surface::{Surface, Surfel, minus};
+use super::voronoi::{self, Ties};
 use super::walk::{Walk, in_ball};
 
 /// The estimators of u.
@@ -21,6 +22,17 @@ pub enum Estimator {
         /// Which eigenvector, and which of its two directions.
         orientation: Orientation,
     },
+    /// The Voronoi covariance measure: see [`voronoi`].
+    VoronoiCovariance {
+        /// Radius R that cuts the cells, world units.
+        voronoi_radius_world: f64,
+        /// Radius r of the hat, world units.
+        radius_world: f64,
+        /// To whom a point with several nearest sites belongs.
+        ties: Ties,
+        /// What decides the side.
+        orientation: Orientation,
+    },
     /// Sum of the trivial normals over the connected ball, times area and 1 - d^2/r^2.
     SurfaceAverage {
         /// Radius r of the ball, world units.
@@ -31,9 +43,12 @@ pub enum Estimator {
 /// From a covariance to a direction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Orientation {
-    /// The eigenvector nearest to the first moment of the solid, pointing away from it.
+    /// II: the eigenvector nearest to the first moment of the solid, pointing away from it.
     Moment,
-    /// DGtal's rule: the eigenvector of the smallest eigenvalue, on the side of the trivial normal.
+    /// VCM: on the side of the surface average within 3 voxels, or r if that is less.
+    Surface,
+    /// DGtal's rules. II: the eigenvector of the smallest eigenvalue, on the side of the trivial
+    /// normal. VCM: on the side of the convolution of trivial normals over a ring of 3 voxels.
     Dgtal,
 }
 
@@ -59,6 +74,15 @@ pub fn estimate(solid: &Solid, surface: &Surface, scale: &Scale, estimator: Esti
         } => {
             let ball = LatticeBall::on_voxels(scale, radius_world / scale.unit_world);
             integral_invariant(solid, surface, scale, &ball, orientation)
+        }
+        Estimator::VoronoiCovariance {
+            voronoi_radius_world,
+            radius_world,
+            ties,
+            orientation,
+        } => {
+            let radii = [voronoi_radius_world, radius_world].map(|r| r / scale.unit_world);
+            voronoi::estimate(surface, scale, radii, ties, orientation)
         }
         Estimator::SurfaceAverage { radius_world } => {
             let ball = LatticeBall::on_khalimsky(scale, radius_world / scale.unit_world);
@@ -166,7 +190,7 @@ fn integral_invariant(
                 let e = eigenvectors[0];
                 Some(if dot(e, n) < 0.0 { scaled(e, -1.0) } else { e })
             }
-            Orientation::Moment => {
+            Orientation::Moment | Orientation::Surface => {
                 let mut m = [0.0; 3];
                 for a in 0..3 {
                     m[a] = 0.5 * (inner.first[a] + outer.first[a]) as f64 * scale.edges[a];
@@ -215,7 +239,7 @@ fn ball_rows(ball: &LatticeBall) -> Vec<([i32; 2], i32)> {
 
 /// With D the weighted square of the distance in Khalimsky coordinates and R that of the radius,
 /// 1 - d^2/r^2 = (R - D) / R. So two integer sums per axis give the sum over the ball.
-fn surface_average(surface: &Surface, scale: &Scale, ball: &LatticeBall) -> Normals {
+pub(super) fn surface_average(surface: &Surface, scale: &Scale, ball: &LatticeBall) -> Normals {
     let mut normals = Normals {
         u: Vec::new(),
         degenerate: Vec::new(),
