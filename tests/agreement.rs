@@ -34,6 +34,9 @@ fn plainly(settings: &Settings) -> plain::Settings {
             Estimator::SurfaceAverage { radius } => plain::Estimator::SurfaceAverage {
                 radius_world: radius * unit,
             },
+            Estimator::Gradient { .. } | Estimator::Given => {
+                unreachable!("the plain reference knows no values and no tables")
+            }
         },
         rho_world: settings.radii[0] * unit,
         weights: match settings.weights {

@@ -12,6 +12,9 @@ mod topology;
 /// How a volume is cut does not show.
 mod brick_invariance;
 
+/// Normals out of grey values.
+mod grey;
+
 /// What is beyond the border of the image is unknown, and says so.
 mod border;
 

@@ -1,5 +1,7 @@
 //! The method: normals, radii, ball, weights; what the rows depend on.
 
+use std::path::{Path, PathBuf};
+
 use anyhow::Result;
 use clap::{Args, ValueEnum};
 use curvox_formats::Unit;
@@ -8,6 +10,7 @@ use serde_json::{Value, json};
 use crate::khalimsky::Adjacency;
 use crate::lattice::Lattice;
 use crate::measure::ball::{Extent, Weights};
+use crate::normal::gradient::GradientKernel;
 use crate::normal::{Estimator, Orientation};
 use crate::sink::RadiusInfo;
 use crate::volume::Criterion;
@@ -31,7 +34,8 @@ pub(crate) struct MethodArgs {
     #[arg(long, value_name = "LENGTH", help_heading = "Method")]
     normal_radius: Option<Length>,
 
-    /// Normals: ii (digital integral invariants), average (of the surface), trivial [default: ii]
+    /// Normals: ii (digital integral invariants), average (of the surface), gradient (of the grey
+    /// values), given (--normals-from), trivial [default: ii]
     #[arg(
         long,
         value_enum,
@@ -40,6 +44,21 @@ pub(crate) struct MethodArgs {
         help_heading = "Method"
     )]
     normals: Option<Normals>,
+
+    /// Width of the Gaussian whose derivative --normals gradient takes [default: 1.5vx]
+    ///
+    /// Its standard deviation; weights end at three of them. Smaller keeps finer detail, larger
+    /// smooths more noise. Beyond the border of the image values are those of the nearest voxels.
+    #[arg(long, value_name = "LENGTH", help_heading = "Method")]
+    sigma: Option<Length>,
+
+    /// Take the normals from a table: a Parquet file, or the directory of a run
+    ///
+    /// Columns kx ky kz side (whole numbers) and nx ny nz (f32 or f64, world axes, any length but
+    /// 0), a row for each surfel in any order. Rows that belong to no surfel are counted. Tables
+    /// sorted by kz, as curvox writes them, are read fastest.
+    #[arg(long, value_name = "PATH", help_heading = "Method")]
+    normals_from: Option<PathBuf>,
 
     /// Which way ii normals point: moment (away from the solid), dgtal (as the surfel) [default: moment]
     #[arg(
@@ -114,6 +133,8 @@ enum Method {
 enum Normals {
     Ii,
     Average,
+    Gradient,
+    Given,
     Trivial,
 }
 
@@ -163,14 +184,38 @@ fn name_of(value: impl ValueEnum) -> String {
         .map_or_else(String::new, |v| v.get_name().to_owned())
 }
 
+/// Sigma of the gradient, in voxels. On noisy renderings at partial volume, errors of H at 1 are
+/// larger by noise; at 2, on coarse grids, by smoothing.
+const DEFAULT_SIGMA: f64 = 1.5;
+
 impl MethodArgs {
+    /// The table of normals asked for.
+    pub(crate) fn normals_from(&self) -> Option<&Path> {
+        self.normals_from.as_deref()
+    }
+
+    /// The normals asked for, by `--normals` or by what only one kind of them takes.
+    fn named_normals(&self) -> Result<Normals> {
+        match (self.normals, &self.normals_from) {
+            (None | Some(Normals::Given), Some(_)) => Ok(Normals::Given),
+            (Some(other), Some(_)) => Err(usage(format!(
+                "--normals-from gives the normals; --normals {} would compute them",
+                name_of(other)
+            ))),
+            (Some(Normals::Given), None) => Err(usage(
+                "--normals given needs the table: --normals-from PATH",
+            )),
+            (named, None) => Ok(named.unwrap_or(Normals::Ii)),
+        }
+    }
+
     /// Fills in defaults and converts lengths.
     ///
     /// # Errors
     /// If a length cannot be converted or used, or options contradict each other.
     pub(crate) fn resolve(&self, lattice: &Lattice, world: Unit) -> Result<ResolvedMethod> {
         let paper = self.method == Method::Paper;
-        let normals = self.normals.unwrap_or(Normals::Ii);
+        let normals = self.named_normals()?;
         let orientation = match (normals, self.orientation) {
             (Normals::Ii, Some(given)) => given,
             (Normals::Ii, None) if paper => OrientationRule::Dgtal,
@@ -197,7 +242,7 @@ impl MethodArgs {
                 .map_err(|error| usage(format!("{flag} {length}: {error}")))?;
             Ok(voxels)
         };
-        let default = [Length::voxels(3)];
+        let default = [Length::voxels(3.0)];
         let asked = if self.radius.is_empty() {
             &default[..]
         } else {
@@ -221,13 +266,31 @@ impl MethodArgs {
             }
         });
         let normal_length = self.normal_radius.as_ref().unwrap_or(&asked[smallest]);
-        let normal_radius = if normals == Normals::Trivial {
+        let normal_radius = if !matches!(normals, Normals::Ii | Normals::Average) {
             if self.normal_radius.is_some() {
-                return Err(usage("--normal-radius has no use with --normals trivial"));
+                return Err(usage(format!(
+                    "--normal-radius has no use with --normals {}",
+                    name_of(normals)
+                )));
             }
             None
         } else {
             Some(in_voxels("--normal-radius", normal_length)?)
+        };
+        let default_sigma = Length::voxels(DEFAULT_SIGMA);
+        let sigma_length = self.sigma.as_ref().unwrap_or(&default_sigma);
+        let sigma = if normals == Normals::Gradient {
+            let sigma = sigma_length.in_voxels("--sigma", unit, world)?;
+            GradientKernel::new(sigma, lattice.edges())
+                .map_err(|error| usage(format!("--sigma {sigma_length}: {error}")))?;
+            sigma
+        } else if self.sigma.is_some() {
+            return Err(usage(format!(
+                "--sigma is for --normals gradient; {} normals have none",
+                name_of(normals)
+            )));
+        } else {
+            0.0
         };
         let estimator = match (normals, normal_radius) {
             (Normals::Ii, Some(radius)) => Estimator::IntegralInvariant {
@@ -238,6 +301,8 @@ impl MethodArgs {
                 },
             },
             (Normals::Average, Some(radius)) => Estimator::SurfaceAverage { radius },
+            (Normals::Gradient, _) => Estimator::Gradient { sigma },
+            (Normals::Given, _) => Estimator::Given,
             _ => Estimator::Trivial,
         };
         let mut parameters = json!({
@@ -252,6 +317,10 @@ impl MethodArgs {
         if let Some(radius) = normal_radius {
             parameters["normal_radius"] = json!(normal_length.to_string());
             parameters["normal_radius_voxels"] = json!(radius);
+        }
+        if normals == Normals::Gradient {
+            parameters["sigma"] = json!(sigma_length.to_string());
+            parameters["sigma_voxels"] = json!(sigma);
         }
         if normals == Normals::Ii {
             parameters["orientation"] = json!(name_of(orientation));

@@ -95,6 +95,13 @@ impl Facts {
                 .iter()
                 .map(|w| without_name(w, &self.name)),
         );
+        if outcome.unmatched_normals > 0 {
+            warnings.push(format!(
+                "{} rows of the given normals belong to no surfel of this image and were not used: \
+                 the table may be of another threshold",
+                outcome.unmatched_normals
+            ));
+        }
         let exact = exact_totals(lattice, outcome);
         let summary = rows.summary(RunFacts::default());
         warnings.extend(advice(&exact, &summary.radii));

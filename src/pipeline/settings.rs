@@ -5,6 +5,7 @@ use crate::khalimsky::Adjacency;
 use crate::lattice::Lattice;
 use crate::measure::ball::{BallKernel, Extent, Weights};
 use crate::normal::{Estimator, NormalKernel, Orientation};
+use crate::sink::{NormalTable, SinkError};
 
 use super::plan::{Plan, PlanRequest};
 
@@ -17,6 +18,8 @@ pub struct Settings {
     pub adjacency: Adjacency,
     /// The normals.
     pub estimator: Estimator,
+    /// The table of normals, for [`Estimator::Given`].
+    pub given: Option<NormalTable>,
     /// Radii of the balls of the measures, in voxel units.
     pub radii: Vec<f64>,
     /// Which part of the surface in a ball is summed.
@@ -51,6 +54,7 @@ impl Settings {
                 radius: 3.0,
                 orientation: Orientation::Moment,
             },
+            given: None,
             radii: vec![3.0],
             extent: Extent::Connected,
             weights: Weights::Lumped,
@@ -63,6 +67,12 @@ impl Settings {
 
     pub(super) fn kernels(&self) -> Result<Kernels, Error> {
         let normals = NormalKernel::new(self.estimator, &self.lattice, self.adjacency)?;
+        if (self.estimator == Estimator::Given) != self.given.is_some() {
+            return Err(SinkError::Unsupported(
+                "given normals and a table of them go together".into(),
+            )
+            .into());
+        }
         let balls = self
             .radii
             .iter()
@@ -80,6 +90,7 @@ impl Settings {
         Ok(Plan::new(&PlanRequest {
             lattice: &self.lattice,
             normals: &kernels.normals,
+            given: self.given.as_ref(),
             balls: &kernels.balls,
             directions: self.directions,
             memory_bytes: self.memory_bytes,

@@ -7,7 +7,7 @@ use curvox::lattice::Lattice;
 use curvox::measure::ball::{BallKernel, BallSums, LocalMeasures, Weights};
 use curvox::measure::cells::{CellTotals, Keep, evaluate, mark};
 use curvox::measure::surface::Surface;
-use curvox::normal::NormalKernel;
+use curvox::normal::{Around, NormalKernel};
 use curvox::pipeline::{Outcome, Progress, Settings, Source, run};
 use curvox::sink::{SinkError, SurfelBatch, SurfelSink};
 use curvox::surfel::CellBox;
@@ -128,7 +128,7 @@ pub(crate) fn whole(solid: &Solid, settings: &Settings) -> Whole {
     let surface = Surface::extract(&window, core, lattice, settings.adjacency);
     let normals = NormalKernel::new(settings.estimator, lattice, settings.adjacency)
         .unwrap()
-        .estimate(&window, lattice, core, &surface.surfels);
+        .estimate(&Around::bits(&window), lattice, core, &surface.surfels);
     let marks: Vec<u8> = normals
         .degenerate
         .iter()
