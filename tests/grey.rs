@@ -2,13 +2,15 @@ use std::sync::atomic::AtomicBool;
 
 use curvox::Error;
 use curvox::lattice::Lattice;
-use curvox::normal::Estimator;
+use curvox::normal::{Estimator, Orientation};
 use curvox::pipeline::{Progress, Settings, Source, run};
+use curvox::shape::{Digitisation, GreyPlanes, Grid, Scanner, Sphere};
 use curvox::sink::{Flag, SurfelBatch};
 use curvox::volume::{Binarizer, Criterion};
 use curvox_formats::{
     ByteOrder, DType, OpenOptions, RawLayout, Scaling, Unit, Volume, VoxelType, open, open_stream,
 };
+use glam::DVec3;
 use proptest::prelude::*;
 use tempfile::TempDir;
 
@@ -245,8 +247,7 @@ proptest! {
             prop_assert!(step.is_nan() || which == 2 || (step < 0.0) == (which == 0));
             let expected = by_definition(&image, edges, k, sigma_voxels)
                 .filter(|_| !step.is_nan())
-                .map(|g| g.map(|x| x * step.signum()))
-                .filter(|u| u[axis] * side > 0.0);
+                .map(|g| g.map(|x| x * step.signum()));
             let found = normal(&rows, i);
             match expected {
                 Some(u) => {
@@ -332,6 +333,54 @@ fn stored_as_i16(order: ByteOrder, scaling: Option<Scaling>, criterion: Criterio
     let mut volume = stream(dims, dtype, bytes);
     volume.header.scaling = scaling;
     tried(volume, criterion, &gradient(dims, [1.0; 3], 1.2)).unwrap()
+}
+
+/// Root mean square error of H on a ball of radius 9 at gridstep 1/2, blurred by a voxel, with noise.
+fn error_on_a_ball(estimator: Estimator, noise: f64) -> f64 {
+    let mut grid = Grid::cubic(0.5);
+    grid.offset = DVec3::new(0.3, -0.2, 0.4);
+    let digitisation = Digitisation::new(Sphere::new(9.0).unwrap(), grid).unwrap();
+    let scanner = Scanner {
+        blur: 1.0,
+        noise,
+        seed: 2,
+    };
+    let mut planes = GreyPlanes::new(&digitisation, scanner).unwrap();
+    let (mut values, mut plane) = (Vec::new(), Vec::new());
+    while planes.next_plane(&mut plane) {
+        values.extend(plane.iter().map(|&v| v as f32));
+    }
+    let dims = digitisation.dims();
+    let mut settings = gradient(dims, [0.5; 3], 1.5);
+    settings.estimator = estimator;
+    settings.radii = vec![3.0 / 0.5f64.sqrt()];
+    let rows = tried(
+        float_stream(&Image { dims, values }),
+        at_least(0.5),
+        &settings,
+    )
+    .unwrap();
+    let errors = rows.curvatures[0].mean.iter();
+    let sum: f64 = errors.map(|&h| (f64::from(h) - 1.0 / 9.0).powi(2)).sum();
+    (sum / rows.len() as f64).sqrt()
+}
+
+#[test]
+fn on_grey_images_gradients_halve_the_errors_of_integral_invariants() {
+    for noise in [0.0, 0.05] {
+        let radius = 3.0 / 0.5f64.sqrt();
+        let of_bits = error_on_a_ball(
+            Estimator::IntegralInvariant {
+                radius,
+                orientation: Orientation::Moment,
+            },
+            noise,
+        );
+        let of_values = error_on_a_ball(Estimator::Gradient { sigma: 1.5 }, noise);
+        // .0056 and .0008 without noise, .0060 and .0020 with it
+        assert!(of_values < 0.5 * of_bits, "{of_values} {of_bits}");
+        assert!(of_bits < 0.008, "{of_bits}");
+    }
 }
 
 #[test]

@@ -213,8 +213,8 @@ fn fractions<S: ImplicitShape>(digitisation: &Digitisation<S>, z: usize) -> Vec<
         for x in 0..nx {
             let value = &mut values[y * nx + x];
             let centre = digitisation.voxel_to_world([x, y, z]);
-            // Not more than a diagonal away, to first order; also where the gradient vanishes.
-            let near = !(value.abs() > diagonal * shape.gradient(centre).length());
+            // Not more than a diagonal away, to first order.
+            let near = value.abs() <= diagonal * shape.gradient(centre).length();
             *value = if near {
                 fraction(shape, centre, edges)
             } else {

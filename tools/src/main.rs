@@ -7,6 +7,7 @@ use clap::{Parser, Subcommand};
 
 use curvox_tools::accuracy::KnownShape;
 use curvox_tools::agreement::{self, Comparison};
+use curvox_tools::grey::GreyArgs;
 use curvox_tools::npz::Table;
 use curvox_tools::picture::PictureArgs;
 use curvox_tools::{goursat, vol};
@@ -41,6 +42,8 @@ enum Command {
     },
     /// Draw what a run left as a PNG file: its surfels, or one of its slices
     Picture(PictureArgs),
+    /// Errors of H with normals from grey values and from bits, on images such as scanners give
+    Grey(GreyArgs),
 }
 
 fn main() -> Result<()> {
@@ -70,6 +73,7 @@ fn main() -> Result<()> {
             }
         }
         Command::Picture(arguments) => arguments.run()?,
+        Command::Grey(arguments) => arguments.run()?,
         Command::Errors {
             reference,
             gridsteps,
