@@ -11,7 +11,7 @@ use curvox::measure::ball::{BallKernel, Extent, LocalMeasures, Weights};
 use curvox::measure::cells::{Asked, Keep, evaluate};
 use curvox::measure::field::Field;
 use curvox::measure::surface::Surface;
-use curvox::normal::{Estimator, NormalKernel, Orientation};
+use curvox::normal::{Around, Estimator, NormalKernel, Orientation};
 use curvox::shape::{Digitisation, Goursat, Grid};
 use curvox::surfel::{CellBox, SurfelIndex};
 use curvox::volume::{Binarizer, BitBox, BitPlane, Criterion, PlaneWindow, SolidCounts};
@@ -147,7 +147,7 @@ fn normals(bencher: Bencher<'_, '_>, radius: f64, estimator: Estimator) {
     let kernel = NormalKernel::new(estimator, &lattice, Adjacency::Interior).unwrap();
     bencher
         .counter(ItemsCount::new(surface.len()))
-        .bench_local(|| kernel.estimate(&window, &lattice, core, &surface.surfels));
+        .bench_local(|| kernel.estimate(&Around::bits(&window), &lattice, core, &surface.surfels));
 }
 
 #[divan::bench(args = RADII)]

@@ -57,6 +57,13 @@ pub enum LatticeError {
     Aspect([f64; 3]),
     /// A radius is not positive, not finite or above [`MAX_RADIUS`], in voxel units.
     Radius(f64),
+    /// The width of a Gaussian cannot be used, in voxel units.
+    Sigma {
+        /// Width asked.
+        sigma: f64,
+        /// The least and the largest that can be used.
+        limits: [f64; 2],
+    },
     /// A ball of measures holds more voxels than a sum can.
     Ball {
         /// Radius asked, in voxel units.
@@ -89,6 +96,13 @@ impl fmt::Display for LatticeError {
                 "a ball of measures of radius {radius} voxels holds too many voxels of this \
                  shape, expected at most {largest:.2}; take a smaller radius, or \
                  resample the image to larger voxels"
+            ),
+            LatticeError::Sigma {
+                sigma,
+                limits: [least, largest],
+            } => write!(
+                f,
+                "sigma of {sigma} voxels, expected {least} to {largest:.2}"
             ),
             LatticeError::Radius(radius) => write!(
                 f,

@@ -49,6 +49,9 @@ fn plainly(settings: &Settings) -> plain::Settings {
             Estimator::SurfaceAverage { radius } => plain::Estimator::SurfaceAverage {
                 radius_world: radius * unit,
             },
+            Estimator::Gradient { .. } | Estimator::Given => {
+                unreachable!("the plain reference knows no values and no tables")
+            }
         },
         field: match settings.field {
             Field::Constant => plain::Field::Constant,

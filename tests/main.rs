@@ -15,6 +15,9 @@ mod theorems;
 /// How a volume is cut does not show.
 mod brick_invariance;
 
+/// Normals out of grey values.
+mod grey;
+
 /// What is beyond the border of the image is unknown, and says so.
 mod border;
 

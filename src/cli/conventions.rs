@@ -61,7 +61,18 @@ Examples:
   curvox run scan.raw --dims 2048,2048,1500 --dtype u16le --spacing 0.65um --otsu -o out
   curvox run scan.npy --spacing 1,1,2um --range 80..120 --radius 12um --slices every:50 -o out
   curvox run scan.vol --threshold 1 --method paper -o table.parquet
+  curvox run scan.nii.gz --threshold 300 --normals gradient --sigma 1.5vx -o out
+  curvox run scan.nii.gz --threshold 300 --normals-from normals.parquet -o out
   zcat scan.npy.gz | curvox run - --threshold 0.5 -o - | head";
+
+/// Examples of `curvox noise`.
+pub(crate) const NOISE_EXAMPLES: &str = "\
+Examples:
+  curvox noise scan.nii.gz --threshold 300 --noise 0.3 --seed 7 -o noisy.nii
+  curvox noise ball.vol --threshold 1 --noise 0.5 | curvox run - --threshold 1 -o out
+
+Voxels are 1 inside and 0 outside. A .nii carries the voxel size, origin and axes of the input;
+.npy, .vol and raw have no place for them.";
 
 /// Examples of `curvox shape`.
 pub(crate) const SHAPE_EXAMPLES: &str = "\
@@ -70,6 +81,7 @@ Examples:
   curvox shape goursat --gridstep 0.25 | curvox run - --threshold 1 --radius 6vx -o out
   curvox shape sphere:radius=9 --gridstep 0.5,0.5,1 -o ball.nii
   curvox shape torus --gridstep 0.1 --noise 0.3 --seed 7 -o noisy.nii
+  curvox shape torus --gridstep 0.1 --partial --blur 1vx --grey-noise 0.05 -o scan.nii
 
 Voxels are 1 inside and 0 outside. The shapes have units of their own, which is no unit of the
 world: the volume carries its voxel size without a unit, and radii are typed in voxels.";

@@ -93,9 +93,10 @@ fn code_of_run(error: &Error) -> u8 {
     match error {
         Error::Input(error) => code_of_input(error),
         Error::Sink(error) => code_of_sink(error),
-        Error::Lattice(LatticeError::Radius(_) | LatticeError::Ball { .. }) | Error::Plan(_) => {
-            USAGE
-        }
+        Error::Lattice(
+            LatticeError::Radius(_) | LatticeError::Sigma { .. } | LatticeError::Ball { .. },
+        )
+        | Error::Plan(_) => USAGE,
         Error::Lattice(_) => BAD_INPUT,
         Error::Stopped => INTERRUPTED,
         _ => FAILED,

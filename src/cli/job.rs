@@ -6,8 +6,9 @@ use anyhow::Result;
 use clap::Args;
 use curvox_formats::{Volume, Voxels};
 
+use crate::normal::Estimator;
 use crate::pipeline::{Plan, Settings};
-use crate::sink::TableInfo;
+use crate::sink::{NormalTable, TableInfo};
 use crate::volume::{Binarizer, Criterion, Number};
 
 use super::conventions;
@@ -69,6 +70,22 @@ impl JobArgs {
         // Mistakes of the command line are found before a long pass over the data.
         let method = self.method.resolve(&lattice, volume.header.unit)?;
         let inside = self.criterion.inside(volume.header.voxel, &self.input)?;
+        let by_label = matches!(inside, Inside::Given(Criterion::Label(_)));
+        if by_label && matches!(method.estimator, Estimator::Gradient { .. }) {
+            return Err(usage(
+                "--normals gradient has no meaning with --label: labels are names, and the step \
+                 from one to another is no slope; take --normals ii or average, or the grey image \
+                 the labels were made from with --threshold, --below or --range",
+            ));
+        }
+        let given = self
+            .method
+            .normals_from()
+            .map(|path| {
+                NormalTable::open(path)
+                    .map_err(|error| BadInput(format!("--normals-from: {error}")))
+            })
+            .transpose()?;
         let sink_bytes = self
             .output
             .sink_bytes(lattice.dims, self.resources.memory)?;
@@ -76,6 +93,7 @@ impl JobArgs {
         settings.adjacency = method.adjacency;
         settings.estimator = method.estimator;
         settings.curvature = method.curvature;
+        settings.given = given;
         settings.radii = method.radii.iter().map(|r| r.voxels).collect();
         settings.extent = method.extent;
         settings.weights = method.weights;
@@ -97,7 +115,7 @@ impl JobArgs {
         let (criterion, otsu) = match inside {
             Inside::Given(criterion) => (criterion, None),
             Inside::Otsu => {
-                let threshold = self.otsu(&volume, stop)?;
+                let threshold = values::otsu(&self.input, &volume, stop)?;
                 (Criterion::AtLeast(Number::from(threshold)), Some(threshold))
             }
         };
@@ -126,28 +144,6 @@ impl JobArgs {
             plan,
             info,
             volume,
-        })
-    }
-
-    fn otsu(&self, volume: &Volume, stop: &AtomicBool) -> Result<f64> {
-        if !volume.source.re_readable {
-            return Err(usage(format!(
-                "--otsu reads the input twice, which {} does not allow; \
-                 save it to a file first, or give --threshold",
-                self.input.name()
-            )));
-        }
-        let found = values::survey(&self.input, stop)?;
-        found.otsu.ok_or_else(|| {
-            BadInput(format!(
-                "{}: --otsu needs two different values, and the image has {}",
-                self.input.name(),
-                match found.min {
-                    Some(value) => format!("only {value}"),
-                    None => "no finite value".into(),
-                }
-            ))
-            .into()
         })
     }
 }

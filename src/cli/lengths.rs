@@ -85,9 +85,9 @@ impl fmt::Display for Length {
 
 impl Length {
     /// So many voxels, for defaults.
-    pub(crate) fn voxels(number: u32) -> Self {
+    pub(crate) fn voxels(number: f64) -> Self {
         Self {
-            number: number.into(),
+            number,
             unit: None,
             label: format!("{number}vx"),
         }
@@ -262,7 +262,7 @@ mod tests {
     fn labels_are_as_typed_with_plain_symbols() {
         assert_eq!(length("12\u{3bc}m").to_string(), "12um");
         assert_eq!(length(" 2.50 vx").to_string(), "2.50vx");
-        assert_eq!(Length::voxels(3), length("3vx"));
+        assert_eq!(Length::voxels(3.0), length("3vx"));
     }
 
     #[test]

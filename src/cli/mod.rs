@@ -13,6 +13,7 @@ mod input;
 mod job;
 mod lengths;
 mod method;
+mod noise;
 mod output;
 mod plan;
 mod progress;
@@ -22,6 +23,7 @@ mod shape;
 mod signals;
 mod sizes;
 mod values;
+mod volume_output;
 
 use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
@@ -67,6 +69,12 @@ enum Command {
     /// Tell what a volume is, or what a run left
     #[command(after_help = conventions::EXIT_HELP)]
     Info(Box<info::InfoArgs>),
+    /// Add the noise of the papers to what is inside a volume: a volume of 0 and 1
+    #[command(
+        after_help = conventions::EXIT_HELP,
+        after_long_help = conventions::long_help(conventions::NOISE_EXAMPLES)
+    )]
+    Noise(Box<noise::NoiseArgs>),
     /// Digitise a shape of known curvature
     #[command(
         after_help = conventions::EXIT_HELP,
@@ -130,7 +138,9 @@ impl Command {
             Command::Run(args) => args.job.output.json,
             Command::Plan(args) => args.job.output.json,
             Command::Info(args) => args.json,
-            Command::Shape(_) | Command::Completions(_) | Command::Man(_) => false,
+            Command::Noise(_) | Command::Shape(_) | Command::Completions(_) | Command::Man(_) => {
+                false
+            }
         }
     }
 
@@ -139,6 +149,7 @@ impl Command {
             Command::Run(args) => run::run(args, verbose, stop),
             Command::Plan(args) => plan::run(args, stop),
             Command::Info(args) => info::run(args, stop),
+            Command::Noise(args) => noise::run(args, stop),
             Command::Shape(args) => shape::run(args, stop),
             Command::Completions(args) => generate::completions(args, Cli::command()),
             Command::Man(args) => generate::man(args, Cli::command()),

@@ -241,9 +241,13 @@ fn write_text(
         ("program and sinks", plan.fixed_bytes),
         ("read buffer", plan.read_bytes),
         ("bits and indices", plan.bits_bytes),
+        ("grey values", plan.grey_bytes),
         ("scratch of workers", plan.scratch_bytes),
         ("surfels in flight", plan.surfel_budget_bytes),
     ] {
+        if bytes == 0 && what == "grey values" {
+            continue;
+        }
         writeln!(out, "             {what:<20} {:>12}", sizes::show(bytes))?;
     }
     writeln!(

@@ -108,6 +108,13 @@ impl Facts {
                 .iter()
                 .map(|w| without_name(w, &self.name)),
         );
+        if outcome.unmatched_normals > 0 {
+            warnings.push(format!(
+                "{} rows of the given normals belong to no surfel of this image and were not used: \
+                 the table may be of another threshold",
+                outcome.unmatched_normals
+            ));
+        }
         let mut exact = exact_totals(lattice, outcome);
         if !self.gauss_bonnet {
             exact.euler_gauss_bonnet = None;

@@ -1,25 +1,24 @@
-//! `curvox shape`: digitised shapes of known curvature, with noise if wanted.
+//! `curvox shape`: digitised shapes of known curvature, with noise if wanted; or grey images of them.
 
 use std::fmt::Write as _;
-use std::fs::{File, OpenOptions};
-use std::io::{self, BufWriter, IsTerminal, Write};
-use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::Result;
 use clap::{Args, ValueEnum};
-use curvox_formats::write::{VolumeWriter, WriteFormat, WriteSpec};
-use curvox_formats::{DType, VoxelType};
+use curvox_formats::write::{WriteFormat, WriteSpec};
+use curvox_formats::{DType, Unit, VoxelType};
 use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::error::Error;
 use crate::shape::{
-    BoxedShape, Digitisation, Grid, Noise, NoisyPlanes, SHAPES, ShapeError, by_spec,
+    BoxedShape, Digitisation, GreyPlanes, Grid, Noise, NoisyPlanes, SHAPES, Scanner, ShapeError,
+    by_spec,
 };
-use crate::sink::{STDOUT, SinkError};
 
 use super::exit::{self, usage};
+use super::lengths::Length;
+use super::volume_output::{Put, VolumeOutputArgs};
 
 /// Arguments of `curvox shape`.
 #[derive(Args, Clone, Debug)]
@@ -61,29 +60,68 @@ pub(crate) struct ShapeArgs {
     #[arg(long, value_name = "P")]
     noise: Option<f64>,
 
+    /// Write grey values: of each voxel the part that is inside, as a scanner would see it
+    ///
+    /// Outside is 1/4 and inside 3/4 of the range of u8 and u16 (64 and 192, 16384 and 49152), 0 and 1
+    /// of f32; the surface is half-way: --threshold 128, 32768 or 0.5.
+    #[arg(long, conflicts_with = "noise")]
+    partial: bool,
+
+    /// Blur of the grey values: standard deviation of a Gaussian in voxels, as 1vx
+    #[arg(long, value_name = "SIGMA", requires = "partial")]
+    blur: Option<Length>,
+
+    /// Noise of the grey values after the blur: standard deviation, where inside and outside differ by 1
+    #[arg(long, value_name = "SIGMA", requires = "partial")]
+    grey_noise: Option<f64>,
+
+    /// Type of the grey values: u8, u16, f32 [default: u16; u8 in a .vol]
+    #[arg(
+        long,
+        value_enum,
+        hide_possible_values = true,
+        value_name = "TYPE",
+        requires = "partial"
+    )]
+    dtype: Option<GreyType>,
+
     /// Seed of the noise
-    #[arg(long, value_name = "S", default_value_t = 1, requires = "noise")]
+    #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
 
-    /// File to write, or - for standard output
-    #[arg(short, long, value_name = "FILE", default_value = STDOUT)]
-    output: PathBuf,
-
-    /// Format: nii, npy, vol, raw; nii alone carries the voxel size [default: from the name, else nii]
-    #[arg(long, value_enum, hide_possible_values = true, value_name = "FORMAT")]
-    to: Option<To>,
-
-    /// Replace an existing file
-    #[arg(long)]
-    overwrite: bool,
+    #[command(flatten)]
+    output: VolumeOutputArgs,
 }
 
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq)]
-enum To {
-    Nii,
-    Npy,
-    Vol,
-    Raw,
+enum GreyType {
+    U8,
+    U16,
+    F32,
+}
+
+impl GreyType {
+    fn voxel(self) -> VoxelType {
+        match self {
+            GreyType::U8 => VoxelType::U8,
+            GreyType::U16 => VoxelType::U16,
+            GreyType::F32 => VoxelType::F32,
+        }
+    }
+
+    /// Replaces `out` by values as they are stored, little endian.
+    fn store(self, values: &[f64], out: &mut Vec<u8>) {
+        out.clear();
+        // Room on both sides, so that noise is rarely cut off. `as` saturates.
+        let level = |value: f64, range: f64| (range * (0.25 + 0.5 * value)).round();
+        for &value in values {
+            match self {
+                GreyType::U8 => out.push(level(value, 256.0) as u8),
+                GreyType::U16 => out.extend((level(value, 65536.0) as u16).to_le_bytes()),
+                GreyType::F32 => out.extend((value as f32).to_le_bytes()),
+            }
+        }
+    }
 }
 
 /// Digitises.
@@ -104,93 +142,57 @@ pub(crate) fn run(args: &ShapeArgs, stop: &AtomicBool) -> Result<()> {
         .map(|p| Noise::new(p, args.seed))
         .transpose()
         .map_err(wrong)?;
-    let format = args.format()?;
+    let format = args.output.format()?;
+    let grey = args.partial.then(|| {
+        let natural = if format == WriteFormat::Vol {
+            GreyType::U8
+        } else {
+            GreyType::U16
+        };
+        args.dtype.unwrap_or(natural)
+    });
     let dims = digitisation.dims();
     let mut volume = WriteSpec::new(
         format,
         // Extents are at most 2^30.
         dims.map(|n| n as u64),
-        DType::little(VoxelType::U8),
+        DType::little(grey.map_or(VoxelType::U8, GreyType::voxel)),
     );
     // Without a unit: shapes are in units of their own, so radii are typed in voxels.
     volume.spacing = Some(digitisation.spacing().to_array());
     volume.origin = digitisation.origin().to_array();
-    let path = &args.output;
-    if path == Path::new(STDOUT) {
-        if io::stdout().is_terminal() {
-            return Err(usage(
-                "a volume is binary and standard output is a terminal; \
-                 give a file (-o ball.nii) or pipe it: curvox shape ... | curvox run - --threshold 1 -o out",
-            ));
+    let stopped = || {
+        if stop.load(Ordering::Relaxed) {
+            Err(Error::Stopped)
+        } else {
+            Ok(())
         }
-        return write(
-            io::stdout().lock(),
-            path,
-            &volume,
-            &digitisation,
-            noise,
-            stop,
-        );
-    }
-    let exists = path.exists();
-    let made = OpenOptions::new()
-        .write(true)
-        .create(true)
-        .create_new(!args.overwrite && !is_special(path))
-        .truncate(args.overwrite)
-        .open(path);
-    let file: File = made.map_err(|error| match error.kind() {
-        io::ErrorKind::AlreadyExists => SinkError::Occupied {
-            path: path.clone(),
-            found: "exists already".into(),
-            advice: "use --overwrite to replace it",
-        },
-        _ => SinkError::io(path, "create", error),
-    })?;
-    let out = BufWriter::with_capacity(1 << 18, file);
-    let result = write(out, path, &volume, &digitisation, noise, stop);
-    if result.is_err() && !exists {
-        // A file cut short would look like a damaged volume.
-        let _ = std::fs::remove_file(path);
-    }
-    result
-}
-
-/// Whether a path is a device or a pipe, which is there already and cannot be replaced.
-fn is_special(path: &Path) -> bool {
-    std::fs::metadata(path).is_ok_and(|m| !m.is_file() && !m.is_dir())
-}
-
-impl ShapeArgs {
-    fn format(&self) -> Result<WriteFormat> {
-        let ending = self
-            .output
-            .extension()
-            .map(|e| e.to_string_lossy().to_ascii_lowercase());
-        let to = match (self.to, ending.as_deref()) {
-            (Some(to), _) => to,
-            (None, Some("nii") | None) => To::Nii,
-            (None, Some("npy")) => To::Npy,
-            (None, Some("vol")) => To::Vol,
-            (None, Some("raw")) => To::Raw,
-            (None, Some("gz")) => {
-                return Err(usage(
-                    "compressed volumes are not written; pipe through gzip: curvox shape ... | gzip > ball.nii.gz",
-                ));
-            }
-            (None, Some(other)) => {
-                return Err(usage(format!(
-                    "-o {}: .{other} is not a format that is written; say --to nii, npy, vol or raw",
-                    self.output.display()
-                )));
-            }
-        };
-        Ok(match to {
-            To::Nii => WriteFormat::Nifti,
-            To::Npy => WriteFormat::Npy,
-            To::Vol => WriteFormat::Vol,
-            To::Raw => WriteFormat::Raw,
-        })
+    };
+    match grey {
+        None => args.output.write(&volume, |put| {
+            write_bits(put, &digitisation, noise, stopped)
+        }),
+        Some(grey) => {
+            let blur = args.blur.as_ref().map(|length| {
+                // Without a unit of the world only voxels convert.
+                length.in_voxels("--blur", 1.0, Unit::Unknown)
+            });
+            let scanner = Scanner {
+                blur: blur.transpose()?.unwrap_or(0.0),
+                noise: args.grey_noise.unwrap_or(0.0),
+                seed: args.seed,
+            };
+            let mut planes = GreyPlanes::new(&digitisation, scanner).map_err(wrong)?;
+            args.output.write(&volume, |put| {
+                let (mut values, mut stored) = (Vec::new(), Vec::new());
+                while planes.next_plane(&mut values) {
+                    stopped()?;
+                    grey.store(&values, &mut stored);
+                    put(&stored)?;
+                }
+                Ok(())
+            })
+        }
     }
 }
 
@@ -205,18 +207,13 @@ fn triple(flag: &str, numbers: &[f64]) -> Result<DVec3> {
     }
 }
 
-/// Writes all planes, as many at a time as there are threads.
-fn write(
-    out: impl Write,
-    path: &Path,
-    volume: &WriteSpec,
+/// Hands on all planes of 0 and 1, computed as many at a time as there are threads.
+fn write_bits(
+    put: &mut Put<'_>,
     digitisation: &Digitisation<BoxedShape>,
     noise: Option<Noise>,
-    stop: &AtomicBool,
+    stopped: impl Fn() -> Result<(), Error>,
 ) -> Result<()> {
-    let failed = |error: curvox_formats::Error| write_error(path, error);
-    let name = path.display().to_string();
-    let mut writer = VolumeWriter::new(out, &name, volume).map_err(failed)?;
     let dims = digitisation.dims();
     let batch = rayon::current_num_threads().max(1);
     let mut clean = Batches {
@@ -225,19 +222,12 @@ fn write(
         first: 0,
         batch,
     };
-    let stopped = || {
-        if stop.load(Ordering::Relaxed) {
-            Err(Error::Stopped)
-        } else {
-            Ok(())
-        }
-    };
     let mut plane = Vec::new();
     match noise {
         None => {
             for z in 0..dims[2] {
                 stopped()?;
-                writer.write_planes(clean.plane(z)).map_err(failed)?;
+                put(clean.plane(z))?;
             }
         }
         Some(noise) => {
@@ -248,11 +238,10 @@ fn write(
             };
             let mut noisy = NoisyPlanes::new(noise, dims, 0..dims[2], source);
             while noisy.next_plane(&mut plane)?.is_some() {
-                writer.write_planes(&plane).map_err(failed)?;
+                put(&plane)?;
             }
         }
     }
-    writer.finish().map_err(failed)?;
     Ok(())
 }
 
@@ -276,19 +265,6 @@ impl Batches<'_> {
             self.first = z;
         }
         &self.planes[z - self.first]
-    }
-}
-
-/// An error of writing, as an output's; the library of formats has one kind of error for both.
-fn write_error(path: &Path, error: curvox_formats::Error) -> anyhow::Error {
-    use std::error::Error as _;
-    let source = error.source().and_then(|s| s.downcast_ref::<io::Error>());
-    match source {
-        Some(source) => {
-            let source = io::Error::new(source.kind(), source.to_string());
-            SinkError::io(path, "write", source).into()
-        }
-        None => usage(error.to_string()),
     }
 }
 

@@ -1,6 +1,7 @@
 //! Normal estimators: a unit vector `u` for each surfel, pointing out of the solid.
 //!
-//! Comes in: the bits around a brick and the surfels of its core. Goes out: [`Normals`], one `u`
+//! Comes in: what is [`Around`] a brick (bits; stored values or given normals where the estimator
+//! asks for them) and the surfels of its core. Goes out: [`Normals`], one `u`
 //! a surfel, in the axes of the image. Each estimator declares its reach; nothing it gives
 //! depends on voxels beyond.
 //!
@@ -10,12 +11,16 @@
 //! | [`integral`] | covariance of the solid in a ball (digital integral invariants) | 6.1.3, II |
 //! | [`vcm`] | covariance of the Voronoi cells of the surface's pointels | 6.1.3, VCM |
 //! | [`average`] | the trivial normals of the connected surface in a ball | introduction: "a local average of the naive normals" |
+//! | [`gradient`] | the gradient of the smoothed grey values at the surfel's centroid | |
+//! | [`given`] | a table of normals | |
 //!
 //! Guaranteed: `|u| = 1` to rounding; a surfel where nothing can be estimated gets its trivial
 //! normal and is marked degenerate. Not guaranteed: that u points to the outer side of the
 //! surfel (`<u, n>` may be negative on thin parts); such rows are flagged.
 
 pub mod average;
+pub mod given;
+pub mod gradient;
 pub mod integral;
 pub mod trivial;
 pub mod vcm;
@@ -25,7 +30,9 @@ use glam::DVec3;
 use crate::khalimsky::{Adjacency, Direction, OrientedSurfel, axis, sign};
 use crate::lattice::{Ball, Lattice, LatticeError};
 use crate::surfel::{CellBox, Surfels};
-use crate::volume::PlaneWindow;
+use crate::volume::{GreyWindow, PlaneWindow};
+
+use given::GivenNormals;
 
 /// Which way a normal of the covariance points. A covariance gives a line, not a direction.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -64,6 +71,36 @@ pub enum Estimator {
         /// Radius of the ball of surfels.
         radius: f64,
     },
+    /// Gradient of the grey values, smoothed by a Gaussian.
+    Gradient {
+        /// Standard deviation of the Gaussian.
+        sigma: f64,
+    },
+    /// Normals out of a table.
+    Given,
+}
+
+/// What an estimator may look at around a brick.
+#[derive(Clone, Copy, Debug)]
+pub struct Around<'a> {
+    /// Which voxels are inside.
+    pub bits: &'a PlaneWindow,
+    /// Stored values of the same planes; for [`NormalKernel::Gradient`].
+    pub grey: Option<&'a GreyWindow>,
+    /// Normals of the surfels of the slab; for [`NormalKernel::Given`].
+    pub given: Option<&'a GivenNormals>,
+}
+
+impl<'a> Around<'a> {
+    /// Bits alone.
+    #[must_use]
+    pub fn bits(bits: &'a PlaneWindow) -> Self {
+        Self {
+            bits,
+            grey: None,
+            given: None,
+        }
+    }
 }
 
 /// Normals of consecutive surfels.
@@ -90,6 +127,10 @@ pub enum NormalKernel {
     Vcm(vcm::VcmKernel),
     /// See [`average`].
     Average(average::AverageKernel),
+    /// See [`gradient`].
+    Gradient(gradient::GradientKernel),
+    /// See [`given`].
+    Given,
 }
 
 impl NormalKernel {
@@ -128,6 +169,10 @@ impl NormalKernel {
                 lattice.edges(),
                 adjacency,
             )),
+            Estimator::Gradient { sigma } => {
+                Self::Gradient(gradient::GradientKernel::new(sigma, lattice.edges())?)
+            }
+            Estimator::Given => Self::Given,
         })
     }
 
@@ -135,20 +180,27 @@ impl NormalKernel {
     #[must_use]
     pub fn reach(&self) -> [i32; 3] {
         match self {
-            Self::Trivial => [0; 3],
+            Self::Trivial | Self::Given => [0; 3],
             // one more for the inner or outer voxel, which may be the cell below
             Self::Integral(kernel) => kernel.ball().reach().map(|r| r + 1),
             Self::Vcm(kernel) => kernel.reach(),
             // the bits around the surfels in the ball tell how they join
             Self::Average(kernel) => kernel.ball().reach().map(|r| r + 1),
+            Self::Gradient(kernel) => kernel.reach(),
         }
+    }
+
+    /// Whether it looks at stored values ([`Around::grey`]).
+    #[must_use]
+    pub fn needs_grey(&self) -> bool {
+        matches!(self, Self::Gradient(_))
     }
 
     /// The ball looked at, if there is one.
     #[must_use]
     pub fn ball(&self) -> Option<&Ball> {
         match self {
-            Self::Trivial => None,
+            Self::Trivial | Self::Gradient(_) | Self::Given => None,
             Self::Integral(kernel) => Some(kernel.ball()),
             Self::Vcm(kernel) => Some(kernel.ball()),
             Self::Average(kernel) => Some(kernel.ball()),
@@ -160,25 +212,41 @@ impl NormalKernel {
     #[must_use]
     pub fn scratch_bytes(&self, core: [i32; 3]) -> Option<u64> {
         match self {
-            Self::Trivial | Self::Integral(_) | Self::Average(_) => None,
+            Self::Trivial
+            | Self::Integral(_)
+            | Self::Average(_)
+            | Self::Gradient(_)
+            | Self::Given => None,
             Self::Vcm(kernel) => Some(kernel.scratch_bytes(core)),
         }
     }
 
     /// Normals of the surfels owned by `core`, in Khalimsky order. `surfels` are those of `core`.
+    ///
+    /// # Panics
+    /// If `around` lacks what this estimator looks at.
     #[must_use]
     pub fn estimate(
         &self,
-        window: &PlaneWindow,
+        around: &Around<'_>,
         lattice: &Lattice,
         core: CellBox,
         surfels: &Surfels,
     ) -> Normals {
+        let window = around.bits;
         match self {
             Self::Trivial => trivial::estimate(surfels, lattice),
             Self::Integral(kernel) => kernel.estimate(window, lattice, core, surfels),
             Self::Vcm(kernel) => kernel.estimate(window, lattice, core, surfels),
             Self::Average(kernel) => kernel.estimate(window, lattice, core, surfels),
+            Self::Gradient(kernel) => {
+                let grey = around.grey.expect("stored values for the gradient");
+                kernel.estimate(grey, lattice, surfels)
+            }
+            Self::Given => {
+                let given = around.given.expect("a table of normals");
+                given::estimate(given, surfels, lattice)
+            }
         }
     }
 }

@@ -20,6 +20,7 @@
 //! derives the rest from the memory allowed. Neither can show in the results.
 
 pub mod budget;
+mod given;
 pub mod plan;
 mod reader;
 mod rows;

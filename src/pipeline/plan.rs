@@ -8,10 +8,12 @@
 //! | program, sinks | [`FIXED_BYTES`], [`COLUMN_BYTES`] for each column of parts |
 //! | read buffers | three chunks of planes as stored, unless they are mapped |
 //! | bits, and the index of surfels | 1/8 byte a voxel of 2 R + 3 H + 9 S planes, about 9/16 more (as if no brick were empty) of 2 H + 8 S of them |
+//! | grey values | S + R + max(R, H + 3) + 2 planes as stored and three chunks of them, only for the gradient |
+//! | a table of normals | its row groups and [`crate::sink::GIVEN_READ_BYTES`], only for given normals |
 //! | surfels in flight | [`Plan::surfel_bytes`] each, within 3/4 of [`Plan::surfel_budget_bytes`] |
 //! | rows | [`Plan::row_bytes`] a surfel of a slab, [`Plan::sent_row_bytes`] a surfel of its densest plane, within 1/4 of it |
 //! | mu_Omega, if asked for | 8 bytes more a surfel in flight and of scratch (18 where linels are kept), 4 a row and radius |
-//! | scratch of a worker | [`SCRATCH_BYTES`] a surfel of a brick with its halo ([`CELL_SCRATCH_BYTES`] where linels and pointels are kept), or more where normals need it ([`NormalKernel::scratch_bytes`]) |
+//! | scratch of a worker | [`SCRATCH_BYTES`] a surfel of a brick with its halo ([`CELL_SCRATCH_BYTES`] where linels and pointels are kept), or more where normals need it ([`NormalKernel::scratch_bytes`]), such as 8 bytes a voxel within reach of the gradient |
 //!
 //! The number of surfels is only known when they are met, so slabs adapt: a slab is lowered until
 //! the surfels that must be held at once fit ([`Plan::surfel_budget_bytes`]); a surface that does
@@ -22,8 +24,8 @@ use serde::Serialize;
 use crate::curvature::integral::InvariantKernel;
 use crate::lattice::Lattice;
 use crate::measure::ball::{BallKernel, Weights};
-use crate::normal::NormalKernel;
-use crate::sink::Parts;
+use crate::normal::{NormalKernel, given};
+use crate::sink::{NormalTable, Parts};
 use crate::surfel::Surfels;
 
 /// The program itself, its stacks, allocator slack and one open part.
@@ -80,6 +82,8 @@ pub struct Plan {
     pub ball_reach: [i32; 3],
     /// Memory of bits and indices.
     pub bits_bytes: u64,
+    /// Memory of grey values; 0 unless normals are made from them.
+    pub grey_bytes: u64,
     /// Memory of the read buffer.
     pub read_bytes: u64,
     /// Memory of the workers' scratch.
@@ -101,9 +105,11 @@ pub struct Plan {
 pub enum PlanError {
     /// The memory allowed is too small.
     #[error(
-        "{} MiB of memory do not hold what a volume of {} x {} x {} voxels needs at these radii; \
+        "{} MiB of memory do not hold what a volume of {} x {} x {} voxels needs at these radii{}; \
          allow at least {} MiB with --memory",
-        allowed_bytes >> 20, dims[0], dims[1], dims[2], needed_bytes.div_ceil(1 << 20)
+        allowed_bytes >> 20, dims[0], dims[1], dims[2],
+        if *grey { ", with the grey values of the planes within reach" } else { "" },
+        needed_bytes.div_ceil(1 << 20)
     )]
     Memory {
         /// The memory allowed.
@@ -112,6 +118,8 @@ pub enum PlanError {
         needed_bytes: u64,
         /// Extents of the volume.
         dims: [u32; 3],
+        /// Whether grey values are held.
+        grey: bool,
     },
     /// A ball spans too many cells.
     #[error("the ball spans {0} voxels along an axis, expected at most {max}; use a smaller radius or resample flat voxels", max = Surfels::MAX_CELLS / 2)]
@@ -128,6 +136,8 @@ pub struct PlanRequest<'a> {
     pub lattice: &'a Lattice,
     /// The normals.
     pub normals: &'a NormalKernel,
+    /// The table of normals, if they are given.
+    pub given: Option<&'a NormalTable>,
     /// The sums, one for each radius.
     pub balls: &'a [BallKernel],
     /// The plain integral invariants, one for each radius; then there are no sums.
@@ -167,6 +177,7 @@ impl Plan {
             allowed_bytes: request.memory_bytes,
             needed_bytes,
             dims: request.lattice.dims,
+            grey: request.normals.needs_grey(),
         };
         match Self::within(request)? {
             Some(plan) => Ok(plan),
@@ -234,8 +245,9 @@ impl Plan {
         let sent_row_bytes = SENT_PLANES * (41 + radii * (18 + asked_bytes));
         // mu_Omega of a surfel, or of its linels: two on the average
         let omega_bytes = only_if(request.quality, if lumped { 8 } else { 18 });
-        // u, measures, marks
-        let surfel_bytes = 30 + omega_bytes + if lumped { 65 } else { 130 };
+        // u, measures, marks, and the row it was given in
+        let given_row = request.given.map_or(0, |_| given::ROW_BYTES);
+        let surfel_bytes = 30 + omega_bytes + if lumped { 65 } else { 130 } + given_row;
         let [x, y, z] = lattice.dims.map(u64::from);
         let plane_bits = x.div_ceil(64) * 8 * y;
         let stored_plane = (x * y).saturating_mul(request.voxel_bytes);
@@ -247,7 +259,10 @@ impl Plan {
         };
         let columns = Parts::new(lattice.dims).columns();
         let columns = u64::from(columns[0]) * u64::from(columns[1]);
-        let fixed_bytes = FIXED_BYTES + (columns - 1) * COLUMN_BYTES + request.sink_bytes;
+        let fixed_bytes = FIXED_BYTES
+            + (columns - 1) * COLUMN_BYTES
+            + request.sink_bytes
+            + request.given.map_or(0, NormalTable::bytes);
         let (normal_z, ball_z) = (normal_reach[2] as u64, ball_reach[2] as u64);
         let bits_bytes = |edge: i32, slab: i32| {
             let indexed = (2 * ball_z + SLABS_IN_FLIGHT * slab as u64).min(z + 1);
@@ -258,6 +273,15 @@ impl Plan {
             let packed = plane_bits.saturating_mul(packed.min(z + 1));
             packed.saturating_add(plane_index.saturating_mul(indexed))
         };
+        let grey_bytes = |slab: i32| {
+            if !normals.needs_grey() {
+                return 0;
+            }
+            let below = normal_z + 1;
+            let ahead = below.max(ball_z + 4);
+            let planes = slab as u64 + below + ahead + 3 * read_planes;
+            stored_plane.saturating_mul(planes.min(z))
+        };
         let surfel_scratch = omega_bytes
             + if lumped {
                 SCRATCH_BYTES
@@ -265,18 +289,24 @@ impl Plan {
                 CELL_SCRATCH_BYTES
             };
         let scratch_bytes = |edge: i32, slab: i32| {
-            let grown = |reach: [i32; 3], bytes: u64| {
+            let grown = |reach: [i32; 3], bytes: f64| {
                 let cells = f64::from((edge + 2 * reach[0]).min(lattice.dims[0] as i32 + 1))
                     * f64::from((edge + 2 * reach[1]).min(lattice.dims[1] as i32 + 1))
                     * f64::from((slab + 2 * reach[2]).min(lattice.dims[2] as i32 + 1));
-                (cells * DENSE * bytes as f64) as u64
+                (cells * bytes) as u64
             };
             let core = [0, 1, 2].map(|a| [edge, edge, slab][a].min(lattice.dims[a] as i32 + 1));
-            let of_normals = normals
-                .scratch_bytes(core)
-                .unwrap_or_else(|| grown(normal_reach, NORMAL_SCRATCH_BYTES));
+            let of_normals = if normals.needs_grey() {
+                // values of voxels; surfels of the core only
+                grown(normal_reach, size_of::<f64>() as f64)
+                    + grown([0; 3], DENSE * NORMAL_SCRATCH_BYTES as f64)
+            } else {
+                normals
+                    .scratch_bytes(core)
+                    .unwrap_or_else(|| grown(normal_reach, DENSE * NORMAL_SCRATCH_BYTES as f64))
+            };
             let of_sums = if invariants.is_empty() {
-                grown(ball_reach, surfel_scratch)
+                grown(ball_reach, DENSE * surfel_scratch as f64)
             } else {
                 // surfels of the core alone, and the bits around it
                 let volume = |grown: fn(i32) -> i32| -> u64 {
@@ -289,9 +319,15 @@ impl Plan {
         };
         let base = fixed_bytes.saturating_add(read_bytes);
         let left = request.memory_bytes.saturating_sub(base);
-        // Bits may take up to 3/8 and scratch up to 1/4; the rest is for surfels.
+        // Grey values come first. They are large, so a slab is only higher than one plane if they
+        // leave 3/4. Of the rest bits may take up to 3/8 and scratch up to 1/4; what then is left is
+        // for surfels.
         let fits = |edge: i32, slab: i32| {
-            bits_bytes(edge, slab) <= left / 8 * 3 && scratch_bytes(edge, slab) <= left / 4
+            let grey = grey_bytes(slab);
+            let rest = left.saturating_sub(grey);
+            (slab == 1 || grey <= left / 4)
+                && bits_bytes(edge, slab) <= rest / 8 * 3
+                && scratch_bytes(edge, slab) <= rest / 4
         };
         const HEIGHTS: [i32; 14] = [128, 96, 64, 48, 32, 24, 16, 12, 8, 6, 4, 3, 2, 1];
         const EDGES: [i32; 7] = [128, 96, 64, 48, 32, 24, 16];
@@ -320,8 +356,9 @@ impl Plan {
         let Some((brick_edge, slab_planes)) = chosen else {
             return Ok(None);
         };
-        let (bits_bytes, scratch_bytes) = (
+        let (bits_bytes, grey_bytes, scratch_bytes) = (
             bits_bytes(brick_edge, slab_planes),
+            grey_bytes(slab_planes),
             scratch_bytes(brick_edge, slab_planes),
         );
         Ok(Some(Self {
@@ -333,10 +370,11 @@ impl Plan {
             normal_reach,
             ball_reach,
             bits_bytes,
+            grey_bytes,
             read_bytes,
             scratch_bytes,
             fixed_bytes,
-            surfel_budget_bytes: left - bits_bytes - scratch_bytes,
+            surfel_budget_bytes: left - bits_bytes - grey_bytes - scratch_bytes,
             surfel_bytes,
             row_bytes,
             sent_row_bytes,

@@ -1,4 +1,5 @@
-//! The first stage: stored planes to planes of bits, in order of z.
+//! The first stage: stored planes to planes of bits, in order of z; where the normals are made from
+//! values, the planes as stored go with them.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -30,11 +31,19 @@ pub struct ReadCounts {
     pub warnings: Vec<String>,
 }
 
+/// A plane of the image on its way to the normals.
+#[derive(Debug)]
+pub(super) struct Plane {
+    pub(super) bits: Arc<BitPlane>,
+    /// The plane as stored, if the normals ask for values.
+    pub(super) stored: Option<Arc<Vec<u8>>>,
+}
+
 /// Reads all planes and sends them in chunks.
 pub(super) fn read(
     source: Source,
     shared: &Shared<'_>,
-    out: Sender<Vec<Arc<BitPlane>>>,
+    out: Sender<Vec<Plane>>,
 ) -> Result<ReadCounts, Error> {
     let Source { volume, binarizer } = source;
     let Volume {
@@ -173,12 +182,13 @@ fn pack(
     header: &Header,
     binarizer: &Binarizer,
     shared: &Shared<'_>,
-) -> (Vec<Arc<BitPlane>>, u64) {
+) -> (Vec<Plane>, u64) {
     let [dims_x, dims_y, _] = shared.lattice.dims;
     let row_bytes = dims_x as usize * header.voxel.bytes();
     let plane_bytes = row_bytes * dims_y as usize;
     // enough rows to be worth a task
     let rows_per_task = (1 << 16) / row_bytes.max(1) + 1;
+    let with_values = shared.kernels.normals.needs_grey();
     shared.pool.install(|| {
         let packed: Vec<_> = (0..count as usize)
             .into_par_iter()
@@ -191,7 +201,13 @@ fn pack(
                     .with_min_len(rows_per_task)
                     .map(|(out, row)| binarizer.pack_row(row, out))
                     .sum();
-                (Arc::new(plane), nan)
+                let plane = Plane {
+                    bits: Arc::new(plane),
+                    // A copy even of what is mapped: the map may be let go, and is only checked
+                    // after it was used.
+                    stored: with_values.then(|| Arc::new(stored.to_vec())),
+                };
+                (plane, nan)
             })
             .collect();
         let nan = packed.iter().map(|(_, nan)| nan).sum();

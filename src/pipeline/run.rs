@@ -8,7 +8,7 @@ use rayon::ThreadPoolBuilder;
 use crate::error::Error;
 use crate::measure::cells::CellTotals;
 use crate::sink::SurfelSink;
-use crate::volume::SolidCounts;
+use crate::volume::{SolidCounts, ValueType};
 
 use super::budget::Budget;
 use super::plan::Plan;
@@ -26,6 +26,8 @@ pub struct Outcome {
     pub solid: SolidCounts,
     /// What the reader learned.
     pub read: ReadCounts,
+    /// Rows of the table of given normals that belong to no surfel.
+    pub unmatched_normals: u64,
 }
 
 /// Runs the pipeline to its end: every row goes to every sink, in order, and the sinks finish.
@@ -58,6 +60,7 @@ pub fn run(
     let shared = Shared {
         settings,
         lattice: &settings.lattice,
+        values: ValueType::of(&source.volume.header),
         kernels: &kernels,
         plan,
         pool: &pool,
@@ -128,7 +131,10 @@ pub fn run(
             other => other,
         };
         let reader = reader.map(|read| outcome.read = read);
-        let normals = normals.map(|solid| outcome.solid = solid);
+        let normals = normals.map(|found| {
+            outcome.solid = found.solid;
+            outcome.unmatched_normals = found.unmatched_normals;
+        });
         let cells = cells.map(|totals| outcome.cells = totals);
         for result in [sunk, reader, normals, cells, sums] {
             note(result)?;

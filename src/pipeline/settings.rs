@@ -8,6 +8,7 @@ use crate::lattice::Lattice;
 use crate::measure::ball::{BallKernel, Extent, Weights};
 use crate::measure::field::Field;
 use crate::normal::{Estimator, NormalKernel, Orientation};
+use crate::sink::{NormalTable, SinkError};
 
 use super::plan::{Plan, PlanRequest};
 
@@ -20,6 +21,8 @@ pub struct Settings {
     pub adjacency: Adjacency,
     /// The normals.
     pub estimator: Estimator,
+    /// The table of normals, for [`Estimator::Given`].
+    pub given: Option<NormalTable>,
     /// How the normals are continued over the surface.
     pub field: Field,
     /// Where curvatures come from.
@@ -65,6 +68,7 @@ impl Settings {
             },
             field: Field::Constant,
             curvature: Method::Measures,
+            given: None,
             radii: vec![3.0],
             extent: Extent::Connected,
             weights: Weights::Lumped,
@@ -78,6 +82,12 @@ impl Settings {
 
     pub(super) fn kernels(&self) -> Result<Kernels, Error> {
         let normals = NormalKernel::new(self.estimator, &self.lattice, self.adjacency)?;
+        if (self.estimator == Estimator::Given) != self.given.is_some() {
+            return Err(SinkError::Unsupported(
+                "given normals and a table of them go together".into(),
+            )
+            .into());
+        }
         let (mut balls, mut invariants) = (Vec::new(), Vec::new());
         for &radius in &self.radii {
             match self.curvature {
@@ -108,6 +118,7 @@ impl Settings {
         Ok(Plan::new(&PlanRequest {
             lattice: &self.lattice,
             normals: &kernels.normals,
+            given: self.given.as_ref(),
             balls: &kernels.balls,
             invariants: &kernels.invariants,
             directions: self.directions,

@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use rayon::ThreadPool;
 
 use crate::lattice::Lattice;
+use crate::volume::ValueType;
 
 use super::budget::Budget;
 use super::plan::Plan;
@@ -28,6 +29,8 @@ pub struct Progress {
 pub(super) struct Shared<'a> {
     pub(super) settings: &'a Settings,
     pub(super) lattice: &'a Lattice,
+    /// How stored voxels become values.
+    pub(super) values: ValueType,
     pub(super) kernels: &'a Kernels,
     pub(super) plan: &'a Plan,
     pub(super) pool: &'a ThreadPool,

@@ -15,11 +15,14 @@ use crate::error::Error;
 use crate::measure::ball::LocalMeasures;
 use crate::measure::cells::{self, Asked, CellMeasures, CellTotals, Keep, mark};
 use crate::measure::surface::Surface;
+use crate::normal::Around;
 use crate::sink::{Parts, SurfelBatch, SurfelSink};
 use crate::surfel::{CellBox, SurfelIndex, Surfels};
-use crate::volume::{BitBox, BitPlane, PlaneWindow, SolidCounts};
+use crate::volume::{BitBox, BitPlane, GreyWindow, PlaneWindow, SolidCounts};
 
 use super::budget::Grant;
+use super::given;
+use super::reader::Plane;
 use super::rows::{self, BrickRows};
 use super::shared::Shared;
 
@@ -92,8 +95,10 @@ fn grid(shared: &Shared<'_>) -> BrickGrid {
 /// Planes that have arrived and are still needed.
 struct Arrived<'a> {
     shared: &'a Shared<'a>,
-    input: &'a Receiver<Vec<Arc<BitPlane>>>,
+    input: &'a Receiver<Vec<Plane>>,
     window: PlaneWindow,
+    /// The same planes as stored, if the normals ask for values.
+    grey: Option<GreyWindow>,
     /// Surfels of each plane of cells from `counted_from` on.
     counts: VecDeque<u64>,
     counted_from: i32,
@@ -113,7 +118,12 @@ impl Arrived<'_> {
                 return Err(Error::Stopped);
             };
             let before = self.end();
-            self.window.planes.extend(planes);
+            for plane in planes {
+                self.window.planes.push(plane.bits);
+                if let Some(grey) = &mut self.grey {
+                    grey.planes.extend(plane.stored);
+                }
+            }
             self.count(before..self.end());
         }
         let cells = self.shared.lattice.cell_dims()[2];
@@ -147,6 +157,10 @@ impl Arrived<'_> {
         let drop = (planes - self.window.z0).clamp(0, self.window.planes.len() as i32);
         self.window.planes.drain(..drop as usize);
         self.window.z0 += drop;
+        if let Some(grey) = &mut self.grey {
+            grey.planes.drain(..drop as usize);
+            grey.z0 += drop;
+        }
         while self.counted_from < counts && !self.counts.is_empty() {
             self.counts.pop_front();
             self.counted_from += 1;
@@ -154,12 +168,20 @@ impl Arrived<'_> {
     }
 }
 
+/// What the stage of the normals counts on the way.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Found {
+    pub(super) solid: SolidCounts,
+    /// Rows of a table of normals that belong to no surfel.
+    pub(super) unmatched_normals: u64,
+}
+
 /// Second stage: extracts the surfels of each slab and estimates their normals.
 pub(super) fn normals(
     shared: &Shared<'_>,
-    input: &Receiver<Vec<Arc<BitPlane>>>,
+    input: &Receiver<Vec<Plane>>,
     out: &Sender<Arc<NormalSlab>>,
-) -> Result<SolidCounts, Error> {
+) -> Result<Found, Error> {
     let grid = grid(shared);
     let dims = shared.lattice.dims;
     let depth = grid.cell_dims[2];
@@ -172,13 +194,19 @@ pub(super) fn normals(
             z0: 0,
             planes: Vec::new(),
         },
+        grey: shared.kernels.normals.needs_grey().then(|| GreyWindow {
+            dims,
+            z0: 0,
+            values: shared.values,
+            planes: Vec::new(),
+        }),
         counts: VecDeque::new(),
         counted_from: 0,
         done: false,
     };
     let ahead = reach.max(shared.plan.planes_ahead());
     let mut slabs: VecDeque<Range<i32>> = VecDeque::new();
-    let mut solid = SolidCounts::default();
+    let mut found = Found::default();
     let mut z = 0;
     while z < depth {
         arrived.wait_for(z + shared.plan.slab_planes + ahead)?;
@@ -190,10 +218,18 @@ pub(super) fn normals(
             return Err(Error::Stopped);
         };
         let window = &arrived.window;
+        let given = given::of_slab(shared, window, &grid, z..end, surfels)?;
+        let (given, unmatched) = given.unzip();
+        found.unmatched_normals += unmatched.unwrap_or(0);
+        let around = Around {
+            bits: window,
+            grey: arrived.grey.as_ref(),
+            given: given.as_ref(),
+        };
         let bricks: Vec<NormalBrick> = shared.pool.install(|| {
             (0..grid.len())
                 .into_par_iter()
-                .map(|number| normal_brick(shared, window, grid.core(number, &(z..end))))
+                .map(|number| normal_brick(shared, &around, grid.core(number, &(z..end))))
                 .collect()
         });
         // Blocks of voxels end one plane above the image.
@@ -208,7 +244,7 @@ pub(super) fn normals(
                 .map(|z| SolidCounts::of_plane(window, z))
                 .collect()
         });
-        counted.iter().for_each(|c| solid.add(c));
+        counted.iter().for_each(|c| found.solid.add(c));
         shared
             .progress
             .surfels_found
@@ -229,7 +265,7 @@ pub(super) fn normals(
         arrived.release_before(z - reach - 1, slabs.front().map_or(z, |s| s.start));
     }
     // The reader has more to say only if it fails; its channel closes when it is done.
-    Ok(solid)
+    Ok(found)
 }
 
 /// Chooses where the slab that begins at plane `z` ends, and counts its surfels.
@@ -296,8 +332,8 @@ fn choose_slab(
     }
 }
 
-fn normal_brick(shared: &Shared<'_>, window: &PlaneWindow, core: CellBox) -> NormalBrick {
-    let bits = BitBox::cut(window, core.lo.map(|c| c - 1), core.hi.map(|c| c + 1));
+fn normal_brick(shared: &Shared<'_>, around: &Around<'_>, core: CellBox) -> NormalBrick {
+    let bits = BitBox::cut(around.bits, core.lo.map(|c| c - 1), core.hi.map(|c| c + 1));
     let index = SurfelIndex::find(&bits, core, shared.lattice).compact();
     if index.is_empty() || shared.stopped() {
         return NormalBrick {
@@ -310,7 +346,7 @@ fn normal_brick(shared: &Shared<'_>, window: &PlaneWindow, core: CellBox) -> Nor
     let normals = shared
         .kernels
         .normals
-        .estimate(window, shared.lattice, core, &surfels);
+        .estimate(around, shared.lattice, core, &surfels);
     let marks = normals
         .degenerate
         .iter()

@@ -102,4 +102,14 @@ pub enum ShapeError {
         /// The largest possible.
         limit: f64,
     },
+    /// The blur or the grey noise of a scanner is out of range.
+    #[error("{what} is {value}, expected a number from 0 to {limit}")]
+    Scanner {
+        /// `blur` or `grey noise`.
+        what: &'static str,
+        /// The width given.
+        value: f64,
+        /// The largest possible.
+        limit: f64,
+    },
 }

@@ -4,6 +4,7 @@
 //! ([`Goursat`], [`Sphere`], ...), a gridstep, and optionally a noise level.
 //!
 //! **Out:** planes of voxels ([`Digitisation`]), the same planes with noise ([`NoisyPlanes`]),
+//! planes of grey values as a scanner would see them ([`GreyPlanes`]),
 //! and, for any point near the surface, the closest point of the surface with its normal, mean,
 //! Gaussian and principal curvatures ([`closest_point`], [`truth_on_surface`]).
 //!
@@ -32,6 +33,7 @@ mod gyroid;
 mod implicit;
 mod named;
 mod noise;
+mod partial;
 mod polynomial;
 mod quadric;
 mod truth;
@@ -47,6 +49,7 @@ pub use gyroid::Gyroid;
 pub use implicit::{BoundingBox, ImplicitShape};
 pub use named::{BoxedShape, NAMES, ParameterInfo, SHAPES, ShapeInfo, by_name, by_spec};
 pub use noise::{MAX_NOISE, Noise, NoisyPlanes};
+pub use partial::{GreyPlanes, MAX_BLUR, Scanner};
 pub use polynomial::{Goursat, Leopold, RoundedCube, Torus};
 pub use quadric::{Cylinder, Ellipsoid, Plane, Sphere};
 pub use truth::{ClosestPoint, SurfaceTruth, closest_point, truth_on_surface};

@@ -112,7 +112,7 @@ impl Noise {
 
 /// The finaliser of SplitMix64 (Steele, Lea, Flood, *Fast splittable pseudorandom number
 /// generators*, 2014) after one step of its counter: a bijection that mixes all bits.
-fn scramble(counter: u64) -> u64 {
+pub(super) fn scramble(counter: u64) -> u64 {
     let z = counter.wrapping_add(0x9e37_79b9_7f4a_7c15);
     let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);

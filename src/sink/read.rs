@@ -363,7 +363,12 @@ fn surfel_batch(
     Ok(rows)
 }
 
-fn damaged(path: &Path, place: &str, found: impl ToString, expected: impl ToString) -> SinkError {
+pub(super) fn damaged(
+    path: &Path,
+    place: &str,
+    found: impl ToString,
+    expected: impl ToString,
+) -> SinkError {
     SinkError::Damaged {
         path: path.to_owned(),
         place: place.to_owned(),

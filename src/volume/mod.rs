@@ -2,13 +2,16 @@
 //!
 //! Comes in: stored voxels and a [`Criterion`]. Goes out: [`BitPlane`]s, one per plane of the
 //! image in order of z; a [`PlaneWindow`] of them; and a [`BitBox`], any box of voxels cut out of
-//! a window with the outside of the image filled with zeros.
+//! a window with the outside of the image filled with zeros. Where normals ask for the values
+//! themselves, a [`GreyWindow`] of stored planes and a [`GreyBox`] cut out of it.
 
 mod bits;
 mod criterion;
 mod euler;
+mod grey;
 pub mod otsu;
 
 pub use bits::{BitBox, BitPlane, PlaneWindow};
 pub use criterion::{Binarizer, Criterion, CriterionError, Number};
 pub use euler::SolidCounts;
+pub use grey::{GreyBox, GreyWindow, ValueType};

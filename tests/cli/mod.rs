@@ -7,12 +7,16 @@ use tempfile::TempDir;
 
 /// What goes wrong, and the exit code it gives.
 mod exits;
+/// Normals given in a table, or made of grey values.
+mod normals;
 /// Outputs of `run`: a directory, a file, a stream.
 mod outputs;
 /// What `info`, `plan`, `completions` and `man` tell.
 mod telling;
 /// Units of lengths, thresholds, conventions of the numbers.
 mod values;
+/// Volumes that `noise` and `shape` write.
+mod volumes;
 
 /// The binary, with its output caught.
 pub(crate) struct Curvox {

@@ -7,7 +7,7 @@ use curvox::lattice::Lattice;
 use curvox::measure::ball::{BallKernel, BallSums, LocalMeasures};
 use curvox::measure::cells::{Asked, CellTotals, evaluate, mark};
 use curvox::measure::surface::Surface;
-use curvox::normal::NormalKernel;
+use curvox::normal::{Around, NormalKernel};
 use curvox::pipeline::{Outcome, Progress, Settings, Source, run};
 use curvox::sink::{SinkError, SurfelBatch, SurfelSink};
 use curvox::surfel::CellBox;
@@ -149,7 +149,7 @@ pub(crate) fn whole_with(solid: &Solid, settings: &Settings, given: Option<&[DVe
     let (surface, core) = surface(solid, settings);
     let mut normals = NormalKernel::new(settings.estimator, lattice, settings.adjacency)
         .unwrap()
-        .estimate(&window, lattice, core, &surface.surfels);
+        .estimate(&Around::bits(&window), lattice, core, &surface.surfels);
     if let Some(given) = given {
         normals.u = given.to_vec();
     }

@@ -7,6 +7,7 @@
 //! * [`dgtal`] repeats DGtal's cell measures and walk, and [`causes`] names the cells where they
 //!   differ from the plain ones.
 //! * [`agreement`] compares the plain reference with DGtal, [`accuracy`] with the truth.
+//! * [`grey`] compares normals from grey values with normals from bits.
 //! * [`picture`] draws what a run of `curvox` left.
 //! * [`paper`] repeats the experiments of the paper with the `curvox` command.
 
@@ -22,6 +23,8 @@ pub mod causes;
 
 pub mod accuracy;
 pub mod agreement;
+
+pub mod grey;
 
 pub mod picture;
 

@@ -7,6 +7,7 @@ use clap::{Parser, Subcommand};
 
 use curvox_tools::accuracy::KnownShape;
 use curvox_tools::agreement::{self, Comparison};
+use curvox_tools::grey::GreyArgs;
 use curvox_tools::npz::Table;
 use curvox_tools::paper::PaperArgs;
 use curvox_tools::picture::PictureArgs;
@@ -44,6 +45,8 @@ enum Command {
     Picture(PictureArgs),
     /// Repeat the experiments of the paper with the curvox command: figures, numbers, one page
     Paper(PaperArgs),
+    /// Errors of H with normals from grey values and from bits, on images such as scanners give
+    Grey(GreyArgs),
 }
 
 fn main() -> Result<()> {
@@ -74,6 +77,7 @@ fn main() -> Result<()> {
         }
         Command::Picture(arguments) => arguments.run()?,
         Command::Paper(arguments) => arguments.run()?,
+        Command::Grey(arguments) => arguments.run()?,
         Command::Errors {
             reference,
             gridsteps,
