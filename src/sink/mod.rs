@@ -9,6 +9,7 @@ mod batch;
 mod columns;
 mod dataset;
 mod error;
+mod faces;
 mod info;
 mod output;
 mod parquet;
@@ -26,6 +27,9 @@ pub use batch::{CurvatureColumns, Flag, FlagSet, SurfelBatch};
 pub use columns::ROW_GROUP_ROWS;
 pub use dataset::DatasetSink;
 pub use error::SinkError;
+pub use faces::{
+    FACES_FILE, FaceTable, FaceTableInfo, MeshSummary, NON_MANIFOLD, RowStats, prepare_mesh_output,
+};
 pub use info::{RadiusInfo, TableInfo};
 pub use output::{REPORT_FILE, SLICES_DIRECTORY, SUMMARY_FILE, SURFELS_DIRECTORY, prepare_output};
 pub use parts::{PART_EDGE, PART_PLANES, Parts};

@@ -7,6 +7,7 @@
 //! * [`dgtal`] repeats DGtal's cell measures and walk, and [`causes`] names the cells where they
 //!   differ from the plain ones.
 //! * [`agreement`] compares the plain reference with DGtal, [`accuracy`] with the truth.
+//! * [`meshes`] makes polyhedra of known curvature: Schwarz lanterns, spheres, tori.
 //! * [`picture`] draws what a run of `curvox` left.
 
 pub mod plain;
@@ -21,5 +22,7 @@ pub mod causes;
 
 pub mod accuracy;
 pub mod agreement;
+
+pub mod meshes;
 
 pub mod picture;

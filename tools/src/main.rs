@@ -7,6 +7,7 @@ use clap::{Parser, Subcommand};
 
 use curvox_tools::accuracy::KnownShape;
 use curvox_tools::agreement::{self, Comparison};
+use curvox_tools::meshes::MeshCommand;
 use curvox_tools::npz::Table;
 use curvox_tools::picture::PictureArgs;
 use curvox_tools::{goursat, vol};
@@ -39,6 +40,9 @@ enum Command {
         #[arg(long, value_delimiter = ',', default_value = "1,0.5,0.25")]
         gridsteps: Vec<f64>,
     },
+    /// Write a polyhedron of known curvature, with its normals, as an OBJ file
+    #[command(subcommand)]
+    Mesh(MeshCommand),
     /// Draw what a run left as a PNG file: its surfels, or one of its slices
     Picture(PictureArgs),
 }
@@ -70,6 +74,7 @@ fn main() -> Result<()> {
             }
         }
         Command::Picture(arguments) => arguments.run()?,
+        Command::Mesh(command) => command.run()?,
         Command::Errors {
             reference,
             gridsteps,
