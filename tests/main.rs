@@ -21,6 +21,12 @@ mod symmetry;
 /// Shapes of known curvature.
 mod analytic;
 
+/// Theorems of meshes, and meshes with everything wrong.
+mod mesh;
+
+/// Schwarz's lantern.
+mod lantern;
+
 /// The binary, run as a user would.
 mod cli;
 /// Numbers from elsewhere: DGtal's tables, the truth, counted facts about volumes.

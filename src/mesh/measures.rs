@@ -4,11 +4,13 @@
 //! and [`MeshTotals`].
 //!
 //! **Constant u** (paper, Proposition 3.8): mu0 on faces, mu1 (as a tensor) and mu_Omega on edges, mu2
-//! on vertices, by the lift of [`crate::measure::cells`]: the spherical polygon of the naive normals around a vertex
-//! has the area 2 pi - sum of angles, modulo 4 pi; what is swept between the naive and the corrected
-//! normals across its edges is taken off; the nearest multiple of 4 pi, k times, is taken off too.
-//! Polygons are cut into triangles at their centroid for that, so faces need not be planar;
-//! the sum of k counts the centroids, where mu2 is 0.
+//! on vertices: the area of the spherical polygon of u around the vertex, as the nearest to 0 of all that differ by whole
+//! spheres. Its lift is that of [`crate::measure::cells`]: L = 2 pi - the angles around the vertex, less what
+//! is swept between the naive and the corrected normals across its edges; L = mu2 + 4 pi k. The sum of L
+//! over a closed mesh is 2 pi (V - E + F). k is an integer, but half of one where an umbrella crosses
+//! itself: the polygon of its naive normals then has not the area 2 pi - angles but 2 pi more.
+//! Polygons are cut into triangles at their centroid for L, so faces need not be planar; the
+//! sum of k counts the centroids, where mu2 is 0.
 //!
 //! **Interpolated u**: all on faces ([`super::interpolated`]); polygons are cut into triangles at
 //! their centroid, where u is the mean direction of the corners.
@@ -21,7 +23,7 @@ use std::f64::consts::TAU;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::measure::formula::{linel_tensor, spherical_triangle, swept_area};
+use crate::measure::formula::{OPPOSITE, linel_tensor, spherical_triangle, swept_area};
 use crate::symmetric::Symmetric;
 
 use super::field::{Field, NormalField};
@@ -46,10 +48,10 @@ pub struct MeshMeasures {
     pub edges: Vec<EdgeMeasure>,
     /// mu2 of each umbrella; empty for an interpolated field.
     pub umbrellas: Vec<f64>,
-    /// Lift k of each umbrella; empty for an interpolated field.
-    pub lifts: Vec<i32>,
-    /// Sum of k over the centroids of polygons: not 0 only for strange ones.
-    centroid_lifts: [i64; 2],
+    /// Lift k of each umbrella, an integer or half of one; empty for an interpolated field.
+    pub lifts: Vec<f64>,
+    /// Sums of k and |k| over the centroids of polygons: not 0 only for strange ones.
+    centroid_lifts: [f64; 2],
 }
 
 /// Sums over a whole mesh.
@@ -73,9 +75,9 @@ pub struct MeshTotals {
     /// mesh, for a linear field, or if it is no integer.
     pub euler_gauss_bonnet: Option<i64>,
     /// Sum of the lifts k of mu2.
-    pub sum_k: i64,
-    /// Sum of their absolute values: how bad the normals are.
-    pub sum_abs_k: u64,
+    pub sum_k: f64,
+    /// Sum of their absolute values: how bad the normals are, or the mesh.
+    pub sum_abs_k: f64,
     /// Whether every edge joins two faces.
     pub closed: bool,
     /// Volume inside, if closed.
@@ -108,11 +110,11 @@ impl MeshMeasures {
             absolute += edge.omega.abs();
         }
         sum.mu2 += self.umbrellas.iter().sum::<f64>();
-        let lifts = || self.lifts.iter().map(|&k| i64::from(k));
-        let sum_k = lifts().sum::<i64>() + self.centroid_lifts[0];
-        let sum_abs_k = lifts().map(i64::abs).sum::<i64>() + self.centroid_lifts[1];
+        let sum_k = self.lifts.iter().sum::<f64>() + self.centroid_lifts[0];
+        let absolute_lifts = self.lifts.iter().map(|k| k.abs());
+        let sum_abs_k = absolute_lifts.sum::<f64>() + self.centroid_lifts[1];
         let closed = surface.is_closed();
-        let by_gauss_bonnet = sum.mu2 / TAU + 2.0 * sum_k as f64;
+        let by_gauss_bonnet = sum.mu2 / TAU + 2.0 * sum_k;
         // Rounding of a million angles is some 1e-12; what is not near an integer is no sum of them.
         let whole = (by_gauss_bonnet - by_gauss_bonnet.round()).abs() < 1e-6;
         let counts = closed && field.field != Field::Linear && whole;
@@ -126,7 +128,7 @@ impl MeshMeasures {
             euler_counted: surface.euler(),
             euler_gauss_bonnet: counts.then_some(by_gauss_bonnet.round() as i64),
             sum_k,
-            sum_abs_k: sum_abs_k.unsigned_abs(),
+            sum_abs_k,
             closed,
             volume: closed.then(|| surface.volume()),
         }
@@ -159,7 +161,7 @@ fn on_faces(
         edges: Vec::new(),
         umbrellas: Vec::new(),
         lifts: Vec::new(),
-        centroid_lifts: [0; 2],
+        centroid_lifts: [0.0; 2],
     }
 }
 
@@ -188,32 +190,82 @@ fn constant(surface: &MeshSurface, field: &NormalField) -> MeshMeasures {
         lift[surface.umbrella_of[surface.after(c)] as usize] -= swept;
         lift[surface.umbrella_of[c] as usize] += swept;
     }
-    let mut centroid_lifts = [0; 2];
+    let mut centroid_lifts = [0.0; 2];
     for f in (0..surface.faces()).filter(|&f| surface.corners(f).len() > 3) {
         let k = sweep_spokes(surface, u[f], f, &mut lift);
         centroid_lifts[0] += k;
         centroid_lifts[1] += k.abs();
     }
-    let mut lifts = Vec::with_capacity(lift.len());
-    for (mu2, &closed) in lift.iter_mut().zip(&surface.closed_umbrella) {
-        let k = if closed { nearest_lift(*mu2) } else { 0.0 };
-        *mu2 = if closed { *mu2 - 2.0 * TAU * k } else { 0.0 };
-        // Some hundreds at most: a vertex has fewer than 2^32 faces in theory only.
-        lifts.push(k as i32);
-    }
+    let umbrellas: Vec<f64> = (0..lift.len())
+        .into_par_iter()
+        .map(|umbrella| spherical_polygon(surface, u, umbrella))
+        .collect();
+    let lifts = lift.iter().zip(&umbrellas).zip(&surface.closed_umbrella);
+    let lifts = lifts.map(|((lift, mu2), &closed)| if closed { lift_of(lift - mu2) } else { 0.0 });
     MeshMeasures {
         faces,
-        edges: measured.into_iter().map(|(edge, _)| edge).collect(),
-        umbrellas: lift,
-        lifts,
+        edges: measured.iter().map(|(edge, _)| *edge).collect(),
+        lifts: lifts.collect(),
+        umbrellas,
         centroid_lifts,
     }
 }
 
-/// How many whole spheres to take off; half a sphere stays.
-fn nearest_lift(lift: f64) -> f64 {
-    // Rounding must not decide what half a sphere is.
-    ((lift - 1e-9) / (2.0 * TAU)).round()
+/// The k that is nearest to a solid angle of 4 pi k, an integer or half of one.
+fn lift_of(angle: f64) -> f64 {
+    0.5 * (angle / TAU).round()
+}
+
+/// mu2 of an umbrella: the area of the polygon of its u, in (-2 pi, 2 pi]; 0 if it is no cycle.
+fn spherical_polygon(surface: &MeshSurface, u: &[DVec3], umbrella: usize) -> f64 {
+    if !surface.closed_umbrella[umbrella] {
+        return 0.0;
+    }
+    let start = surface.umbrella_from[umbrella] as usize;
+    let normal = |c: usize| u[surface.face_of[c] as usize];
+    let next = |c: usize| surface.across(surface.before(c)).unwrap_or(start);
+    let mut sum = DVec3::ZERO;
+    let mut at = start;
+    loop {
+        sum += normal(at);
+        at = next(at);
+        if at == start {
+            break;
+        }
+    }
+    // Any vector does, up to whole spheres, that is opposite to none; the mean keeps triangles small.
+    let middle = if sum.length() > 1e-6 {
+        sum.normalize()
+    } else {
+        let u = normal(start);
+        (0.3 * u + u.any_orthonormal_vector()).normalize()
+    };
+    let mut area = 0.0;
+    loop {
+        let after = next(at);
+        let (here, there) = (normal(at), normal(after));
+        if here.dot(there) < OPPOSITE {
+            // No arc is the shortest: by way of the faces, as for the area swept.
+            let c = surface.before(at);
+            let n = surface.side_normal(c);
+            let m = surface.side_normal(surface.across(c).unwrap_or(c));
+            let e = (surface.place(at) - surface.place(c)).normalize_or_zero();
+            // Where these are opposite too the crest is between; elsewhere it would be a detour.
+            let between = if n.dot(m) > FOLDED { m } else { e.cross(n) };
+            for pair in [here, n, between, m, there].windows(2) {
+                area += spherical_triangle(middle, pair[0], pair[1]);
+            }
+        } else {
+            area += spherical_triangle(middle, here, there);
+        }
+        at = after;
+        if at == start {
+            break;
+        }
+    }
+    // Half a sphere stays, and rounding must not decide it.
+    let spheres = ((area - 1e-9) / (2.0 * TAU)).round();
+    area - 2.0 * TAU * spheres
 }
 
 /// Measures of the edge of a half-edge, and what is swept from its face to the one across.
@@ -236,13 +288,17 @@ fn measure_edge(surface: &MeshSurface, u: &[DVec3], c: usize) -> (EdgeMeasure, f
     (edge, swept(n_f, n_g, u_f, u_g, e))
 }
 
+/// Naive normals nearer to opposite than this have lost half the digits of the arc between them.
+const FOLDED: f64 = -1.0 + 1e-8;
+
 /// The area swept from (n_f, n_g) to (u_f, u_g) across an edge along `e` of f's boundary. Where the
 /// surface folds back on itself, n_g = -n_f, the arc between them runs over the crest.
 fn swept(n_f: DVec3, n_g: DVec3, u_f: DVec3, u_g: DVec3, e: DVec3) -> f64 {
-    /// Nearer to a fold than this, the arc of n_f and n_g has lost half its digits.
-    const FOLDED: f64 = -1.0 + 1e-8;
     if n_f.dot(n_g) > FOLDED {
         return swept_area(n_f, n_g, u_f, u_g);
+    }
+    if u_f.dot(u_g) < OPPOSITE {
+        return 0.0;
     }
     let crest = e.cross(n_f);
     spherical_triangle(n_f, crest, u_f)
@@ -252,7 +308,7 @@ fn swept(n_f: DVec3, n_g: DVec3, u_f: DVec3, u_g: DVec3, e: DVec3) -> f64 {
 
 /// Takes off what is swept across the edges from the centroid of a polygon to its corners, where u is the
 /// same on both sides; gives the lift k of the centroid.
-fn sweep_spokes(surface: &MeshSurface, u: DVec3, face: usize, lift: &mut [f64]) -> i64 {
+fn sweep_spokes(surface: &MeshSurface, u: DVec3, face: usize, lift: &mut [f64]) -> f64 {
     let middle = surface.centroid[face];
     let mut at_middle = TAU;
     for c in surface.corners(face) {
@@ -277,5 +333,5 @@ fn sweep_spokes(surface: &MeshSurface, u: DVec3, face: usize, lift: &mut [f64]) 
         at_middle -= libm::atan2(p.cross(q).length(), p.dot(q));
     }
     // u is one vector all around, so the area is 0 but for whole spheres.
-    nearest_lift(at_middle) as i64
+    lift_of(at_middle)
 }

@@ -106,6 +106,8 @@ pub struct MeshSurface {
     pub edges: Vec<u32>,
     /// Number of the umbrella of each corner.
     pub umbrella_of: Vec<u32>,
+    /// The corner of the lowest number of each umbrella.
+    pub(super) umbrella_from: Vec<u32>,
     /// Of each umbrella, whether it is a closed cycle.
     pub closed_umbrella: Vec<bool>,
     /// What is wrong.
@@ -132,6 +134,7 @@ impl MeshSurface {
             edge_of: Vec::new(),
             edges: Vec::new(),
             umbrella_of: Vec::new(),
+            umbrella_from: Vec::new(),
             closed_umbrella: Vec::new(),
             defects: Defects::default(),
         };
@@ -422,6 +425,7 @@ impl MeshSurface {
                 at = self.after(last);
                 self.umbrella_of[at] = number;
             }
+            self.umbrella_from.push(start as u32);
             self.closed_umbrella.push(closed);
         }
         self.defects.non_manifold_vertices = umbrellas_at.iter().filter(|&&n| n > 1).count() as u64;

@@ -232,7 +232,7 @@ impl FaceTable {
             let mut set = |on: bool, flag: FlagSet| flags |= if on { flag } else { 0 };
             let lifted = |c: usize| {
                 let lift = measures.lifts.get(surface.umbrella_of[c] as usize);
-                lift.is_some_and(|&k| k != 0)
+                lift.is_some_and(|&k| k != 0.0)
             };
             let largest = values[2].abs().max(values[3].abs());
             set(sums.border, Flag::Border.bit());

@@ -7,6 +7,8 @@ use tempfile::TempDir;
 
 /// What goes wrong, and the exit code it gives.
 mod exits;
+/// `curvox mesh`.
+mod meshes;
 /// Outputs of `run`: a directory, a file, a stream.
 mod outputs;
 /// What `info`, `plan`, `completions` and `man` tell.

@@ -241,6 +241,7 @@ pub enum MeshCommand {
         /// those at vertices
         #[arg(long)]
         face_normals: bool,
+        /// Where to write.
         #[command(flatten)]
         output: Output,
     },
@@ -252,6 +253,7 @@ pub enum MeshCommand {
         /// Radius of the sphere
         #[arg(long, default_value_t = 1.0)]
         radius: f64,
+        /// Where to write.
         #[command(flatten)]
         output: Output,
     },
@@ -269,6 +271,7 @@ pub enum MeshCommand {
         /// Quadrangles around the tube
         #[arg(long, value_parser = clap::value_parser!(u32).range(3..=10_000))]
         across: u32,
+        /// Where to write.
         #[command(flatten)]
         output: Output,
     },
