@@ -16,6 +16,7 @@
 //! | [`normal`] | a unit normal for each surfel |
 //! | [`measure`] | measures of cells, and their sums over balls |
 //! | [`curvature`] | sums to curvatures, in world units |
+//! | [`mesh`] | polyhedral surfaces: the same measures on meshes in memory |
 //! | [`sink`] | tables, slices, totals |
 //! | [`brick`] | how a volume is cut, and the exchange of halos |
 //! | [`pipeline`] | the stages as threads, within a memory budget |
@@ -88,6 +89,8 @@ pub mod normal;
 pub mod measure;
 
 pub mod curvature;
+
+pub mod mesh;
 
 pub mod sink;
 

@@ -33,6 +33,12 @@ mod invariants;
 /// Shapes of known curvature.
 mod analytic;
 
+/// Theorems of meshes, and meshes with everything wrong.
+mod mesh;
+
+/// Schwarz's lantern.
+mod lantern;
+
 /// The binary, run as a user would.
 mod cli;
 /// Numbers from elsewhere: DGtal's tables, the truth, counted facts about volumes.

@@ -22,7 +22,7 @@
 //! The rooms, in the order of the data: `input` (bytes forward, decompressed), `map` (bytes
 //! mapped), one file a format (`npy`, `vol`, `nifti`), `detect` (which of
 //! them), `open` (how it is read),
-//! `stream` and `stored` (planes and boxes), [`mod@write`] (small outputs), [`conformance`] (what
+//! `stream` and `stored` (planes and boxes), [`mesh`] (polygons), [`mod@write`] (small outputs), [`conformance`] (what
 //! every reader must do).
 //!
 //! Guaranteed: the format is recognised by content, never by name; sizes from a file are checked
@@ -44,6 +44,8 @@ mod header;
 mod input;
 
 mod map;
+
+pub mod mesh;
 
 mod nifti;
 

@@ -503,7 +503,10 @@ fn forward(
 }
 
 /// Undoes one compression, if there is one.
-fn decompress(mut input: Input, name: &str) -> Result<(Input, Option<Compression>), Error> {
+pub(crate) fn decompress(
+    mut input: Input,
+    name: &str,
+) -> Result<(Input, Option<Compression>), Error> {
     let failed = |e| read_error(name, 0, e);
     let head = input.peek(Compression::MAGIC_BYTES).map_err(failed)?;
     if head.is_empty() {

@@ -23,6 +23,9 @@ mod headers;
 /// Damage of any kind is an error, in bounded memory.
 mod damaged;
 
+/// Meshes: every form of OBJ, PLY and STL, and damage to them.
+mod meshes;
+
 /// Files that change while they are mapped.
 mod guard;
 

@@ -12,6 +12,7 @@ mod info;
 mod input;
 mod job;
 mod lengths;
+mod mesh;
 mod method;
 mod noise;
 mod output;
@@ -81,6 +82,12 @@ enum Command {
         after_long_help = conventions::long_help(conventions::SHAPE_EXAMPLES)
     )]
     Shape(Box<shape::ShapeArgs>),
+    /// Compute curvatures of a mesh: an OBJ, PLY or STL file
+    #[command(
+        after_help = conventions::EXIT_HELP,
+        after_long_help = mesh::long_help()
+    )]
+    Mesh(Box<mesh::MeshArgs>),
     /// Print completions for a shell
     Completions(generate::CompletionsArgs),
     /// Print the manual, or write its pages
@@ -138,6 +145,7 @@ impl Command {
             Command::Run(args) => args.job.output.json,
             Command::Plan(args) => args.job.output.json,
             Command::Info(args) => args.json,
+            Command::Mesh(args) => args.json,
             Command::Noise(_) | Command::Shape(_) | Command::Completions(_) | Command::Man(_) => {
                 false
             }
@@ -151,6 +159,7 @@ impl Command {
             Command::Info(args) => info::run(args, stop),
             Command::Noise(args) => noise::run(args, stop),
             Command::Shape(args) => shape::run(args, stop),
+            Command::Mesh(args) => mesh::run(args, verbose, stop),
             Command::Completions(args) => generate::completions(args, Cli::command()),
             Command::Man(args) => generate::man(args, Cli::command()),
         }

@@ -243,18 +243,23 @@ impl OutputArgs {
     }
 
     fn refuse_existing(&self, path: &Path) -> Result<(), SinkError> {
-        if !self.overwrite && fs::symlink_metadata(path).is_ok() {
-            return Err(SinkError::Occupied {
-                path: path.to_owned(),
-                found: "exists already".into(),
-                advice: "use --overwrite to replace it",
-            });
-        }
-        Ok(())
+        refuse_existing(path, self.overwrite)
     }
 }
 
-fn target_of(path: &Path) -> Result<Target> {
+/// Refuses a file that is there already, unless it may be replaced.
+pub(super) fn refuse_existing(path: &Path, overwrite: bool) -> Result<(), SinkError> {
+    if !overwrite && fs::symlink_metadata(path).is_ok() {
+        return Err(SinkError::Occupied {
+            path: path.to_owned(),
+            found: "exists already".into(),
+            advice: "use --overwrite to replace it",
+        });
+    }
+    Ok(())
+}
+
+pub(super) fn target_of(path: &Path) -> Result<Target> {
     if path == Path::new(STDOUT) {
         return Ok(Target::Stdout);
     }

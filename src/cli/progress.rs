@@ -1,7 +1,7 @@
 //! How far the run is: a bar on a terminal, JSON lines with `--json`, else nothing.
 
 use std::io::{IsTerminal, Write};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
@@ -92,4 +92,57 @@ pub(crate) fn show(style: Style, progress: &Progress, planes: u64, done: &Atomic
         std::thread::park_timeout(PERIOD);
     }
     bar.finish_and_clear();
+}
+
+/// Shows how many of `faces` are done until `done` is set.
+pub(crate) fn show_faces(style: Style, faces_done: &AtomicU64, faces: u64, done: &AtomicBool) {
+    let started = Instant::now();
+    let bar = match style {
+        Style::None => return,
+        Style::Lines => ProgressBar::hidden(),
+        Style::Bar => ProgressBar::new(faces),
+    };
+    let style_of_bar =
+        ProgressStyle::with_template("{wide_bar} {percent:>3}%  face {pos}/{len}  {elapsed}");
+    if let Ok(style) = style_of_bar {
+        bar.set_style(style);
+    }
+    let mut look = 0u32;
+    while !done.load(Ordering::Relaxed) {
+        let faces_done = faces_done.load(Ordering::Relaxed);
+        bar.set_position(faces_done);
+        if style == Style::Lines && look > 0 && look.is_multiple_of(LOOKS_PER_LINE) {
+            let line = json!({
+                "event": "progress",
+                "faces": faces,
+                "faces_done": faces_done,
+                "seconds": started.elapsed().as_secs_f64(),
+            });
+            // Nobody may be reading; the run goes on all the same.
+            let _ = writeln!(std::io::stderr(), "{line}");
+        }
+        look += 1;
+        std::thread::park_timeout(PERIOD);
+    }
+    bar.finish_and_clear();
+}
+
+/// Runs `work` while another thread runs `show`, which ends when its flag is set and it is unparked.
+pub(crate) fn watched<T>(show: impl FnOnce(&AtomicBool) + Send, work: impl FnOnce() -> T) -> T {
+    let done = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        /// Ends the watch, also when the work panics.
+        struct End<'a>(&'a AtomicBool, std::thread::Thread);
+        impl Drop for End<'_> {
+            fn drop(&mut self) {
+                self.0.store(true, Ordering::Relaxed);
+                self.1.unpark();
+            }
+        }
+        let watch = scope.spawn(|| show(&done));
+        let end = End(&done, watch.thread().clone());
+        let result = work();
+        drop(end);
+        result
+    })
 }

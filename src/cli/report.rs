@@ -241,7 +241,7 @@ pub(crate) struct Report {
     pub(crate) seconds: f64,
 }
 
-fn place(target: &Target) -> String {
+pub(super) fn place(target: &Target) -> String {
     match target {
         Target::Directory(path)
         | Target::Parquet(path)
@@ -349,7 +349,7 @@ impl Report {
 }
 
 /// Five digits, in powers of ten where that is shorter.
-fn number(value: f64) -> String {
+pub(super) fn number(value: f64) -> String {
     if value == 0.0 || (1e-3..1e6).contains(&value.abs()) {
         let digits = if value == 0.0 {
             1

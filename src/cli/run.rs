@@ -10,7 +10,7 @@ use clap::Args;
 use serde_json::{Value, json};
 
 use crate::error::Error;
-use crate::pipeline::{Outcome, Progress, Source, run as run_pipeline};
+use crate::pipeline::{Progress, Source, run as run_pipeline};
 use crate::sink::{RunState, SummarySink, SurfelSink};
 
 use super::exit;
@@ -70,9 +70,10 @@ pub(crate) fn run(args: &RunArgs, verbose: bool, stop: &AtomicBool) -> Result<()
             let source = Source { volume, binarizer };
             let progress = Progress::default();
             let planes = settings.lattice.cell_dims()[2].unsigned_abs().into();
-            watched(style, &progress, planes, || {
-                run_pipeline(source, &settings, &plan, &mut list, &progress, stop)
-            })
+            progress::watched(
+                |done| progress::show(style, &progress, planes, done),
+                || run_pipeline(source, &settings, &plan, &mut list, &progress, stop),
+            )
             // Ctrl-C ends the whole pipeline of a shell: an input that then ends is no bad input.
             .map_err(|error| {
                 if stop.load(Ordering::Relaxed) {
@@ -121,31 +122,6 @@ pub(crate) fn run(args: &RunArgs, verbose: bool, stop: &AtomicBool) -> Result<()
     Ok(())
 }
 
-/// Runs `work` while another thread shows how far it is.
-fn watched(
-    style: Style,
-    progress: &Progress,
-    planes: u64,
-    work: impl FnOnce() -> Result<Outcome, Error>,
-) -> Result<Outcome, Error> {
-    let done = AtomicBool::new(false);
-    std::thread::scope(|scope| {
-        /// Ends the watch, also when the work panics.
-        struct End<'a>(&'a AtomicBool, std::thread::Thread);
-        impl Drop for End<'_> {
-            fn drop(&mut self) {
-                self.0.store(true, Ordering::Relaxed);
-                self.1.unpark();
-            }
-        }
-        let watch = scope.spawn(|| progress::show(style, progress, planes, &done));
-        let end = End(&done, watch.thread().clone());
-        let result = work();
-        drop(end);
-        result
-    })
-}
-
 /// The request, for `run.json`.
 fn asked(args: &JobArgs, job: &Job) -> Value {
     json!({
@@ -158,7 +134,7 @@ fn asked(args: &JobArgs, job: &Job) -> Value {
 }
 
 /// Refuses to write the results over the image they come from.
-fn refuse_input_as_output(input: Option<&Path>, target: &Target) -> Result<()> {
+pub(crate) fn refuse_input_as_output(input: Option<&Path>, target: &Target) -> Result<()> {
     let (Some(input), Target::Parquet(output) | Target::Csv(output)) = (input, target) else {
         return Ok(());
     };

@@ -62,27 +62,63 @@ impl Curvature {
     /// voxel unit. `None` where mu0 is not positive, so that no quotient means anything.
     #[must_use]
     pub fn from_sums(sums: &BallSums, u: DVec3, voxel_unit_world: f64) -> Option<Self> {
-        if sums.mu0 <= 0.0 {
+        let BallSums {
+            mu0,
+            tensor,
+            mu2,
+            omega,
+            ..
+        } = sums;
+        Self::from_measures(*mu0, tensor, *mu2, *omega, u, voxel_unit_world)
+    }
+
+    /// Curvatures from the measures mu0, tensor, mu2 and mu_Omega of a part of a surface around a place
+    /// of normal `u`, in units whose length in the world is `unit_world`. `None` where mu0 is not
+    /// positive.
+    #[must_use]
+    pub fn from_measures(
+        mu0: f64,
+        tensor: &Symmetric,
+        mu2: f64,
+        omega: f64,
+        u: DVec3,
+        unit_world: f64,
+    ) -> Option<Self> {
+        if mu0 <= 0.0 {
             return None;
         }
-        let per_length = 1.0 / voxel_unit_world;
-        let shape = sums.tensor.zip(&Symmetric::outer(u, u), |m, uu| {
-            m / sums.mu0 - NORMAL_PENALTY * uu
+        let per_length = 1.0 / unit_world;
+        let shape = tensor.zip(&Symmetric::outer(u, u), |m, uu| {
+            m / mu0 - NORMAL_PENALTY * uu
         });
         let principal = eigen(&shape);
         // Without the direction of the penalty; where curvatures are beyond it, they stay.
         let far = |i: usize| (principal.values[i] + NORMAL_PENALTY).abs();
         let normal = (0..3).fold(0, |best, i| if far(i) < far(best) { i } else { best });
         let [first, second] = [[1, 2], [0, 2], [0, 1]][normal];
-        let mu1 = sums.tensor.xx + sums.tensor.yy + sums.tensor.zz;
+        let mu1 = tensor.xx + tensor.yy + tensor.zz;
         Some(Self {
-            mean: mu1 / (2.0 * sums.mu0) * per_length,
-            gaussian: sums.mu2 / sums.mu0 * per_length * per_length,
+            mean: mu1 / (2.0 * mu0) * per_length,
+            gaussian: mu2 / mu0 * per_length * per_length,
             k1: principal.values[first] * per_length,
             k2: principal.values[second] * per_length,
             d1: principal.vectors[first],
             d2: principal.vectors[second],
-            quality: sums.omega / sums.mu0 * per_length,
+            quality: omega / mu0 * per_length,
         })
     }
+}
+
+/// A direction with its sign fixed: the largest component by size, the first of equals, is positive.
+#[must_use]
+pub fn upward(d: DVec3) -> DVec3 {
+    let a = d.to_array();
+    let largest = (0..3).fold(0, |best, i| {
+        if a[i].abs() > a[best].abs() * (1.0 + 1e-9) {
+            i
+        } else {
+            best
+        }
+    });
+    if a[largest] < 0.0 { -d } else { d }
 }

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use glam::DVec3;
 
-use crate::curvature::Curvature;
+use crate::curvature::{Curvature, upward};
 use crate::khalimsky::{OrientedSurfel, sign};
 use crate::measure::ball::{BallSums, LocalMeasures};
 use crate::measure::cells::{CellMeasures, mark};
@@ -217,19 +217,6 @@ fn directions(shared: &Shared<'_>, curvature: Option<&Curvature>) -> [[f32; 3]; 
         None => [[f32::NAN; 3]; 2],
         Some(c) => [c.d1, c.d2].map(|d| to_world(shared, upward(d))),
     }
-}
-
-/// A direction with its sign fixed: the largest component by size, the first of equals, is positive.
-fn upward(d: DVec3) -> DVec3 {
-    let a = d.to_array();
-    let largest = (0..3).fold(0, |best, i| {
-        if a[i].abs() > a[best].abs() * (1.0 + 1e-9) {
-            i
-        } else {
-            best
-        }
-    });
-    if a[largest] < 0.0 { -d } else { d }
 }
 
 fn to_world(shared: &Shared<'_>, v: DVec3) -> [f32; 3] {

@@ -9,6 +9,7 @@ mod batch;
 mod columns;
 mod dataset;
 mod error;
+mod faces;
 mod given;
 mod info;
 mod output;
@@ -27,6 +28,9 @@ pub use batch::{CurvatureColumns, Flag, FlagSet, SurfelBatch};
 pub use columns::ROW_GROUP_ROWS;
 pub use dataset::DatasetSink;
 pub use error::SinkError;
+pub use faces::{
+    FACES_FILE, FaceTable, FaceTableInfo, MeshSummary, NON_MANIFOLD, RowStats, prepare_mesh_output,
+};
 pub use given::{GIVEN_READ_BYTES, NormalRow, NormalTable};
 pub use info::{RadiusInfo, TableInfo};
 pub use output::{REPORT_FILE, SLICES_DIRECTORY, SUMMARY_FILE, SURFELS_DIRECTORY, prepare_output};

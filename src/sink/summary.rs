@@ -18,7 +18,7 @@ use serde_json::Value;
 use super::SurfelSink;
 use super::batch::{CurvatureColumns, Flag, SurfelBatch};
 use super::error::SinkError;
-use super::info::TableInfo;
+use super::info::{RadiusInfo, TableInfo};
 use super::parts::Parts;
 use super::run_record::pretty;
 use super::whole_file::write_whole;
@@ -216,8 +216,9 @@ struct PartSums {
     radii: Vec<RadiusSums>,
 }
 
+/// Sums over rows at one radius.
 #[derive(Clone, Debug)]
-struct RadiusSums {
+pub(super) struct RadiusSums {
     all: RowTotals,
     without_border: RowTotals,
     flags: [u64; Flag::ALL.len()],
@@ -261,32 +262,8 @@ impl SummarySink {
             total.add(sums);
         }
         let info = &self.info;
-        let radii = info.radii.iter().zip(total.radii).map(|(radius, sums)| {
-            let [mean, gaussian, k1, k2] = sums.values.map(ValueSums::finish);
-            let counts = Flag::ALL.iter().zip(sums.flags);
-            RadiusSummary {
-                label: radius.label.clone(),
-                voxels: radius.voxels,
-                world: radius.world,
-                all: sums.all,
-                without_border: sums.without_border,
-                flags: counts
-                    .map(|(flag, rows)| FlagCount {
-                        name: flag.name(),
-                        bit: flag.bit(),
-                        rows,
-                    })
-                    .collect(),
-                mean_curvature: mean,
-                gaussian_curvature: gaussian,
-                k1,
-                k2,
-                principal_mismatch_rms: (sums.mismatch_area > 0.0)
-                    .then(|| (sums.mismatch / sums.mismatch_area).sqrt()),
-                quality_rms: (sums.quality_area > 0.0)
-                    .then(|| (sums.quality / sums.quality_area).sqrt()),
-            }
-        });
+        let radii = info.radii.iter().zip(total.radii);
+        let radii = radii.map(|(radius, sums)| sums.finish(radius));
         Summary {
             format: "curvox summary 1",
             version: info.version.clone(),
@@ -365,7 +342,7 @@ impl PartSums {
 }
 
 impl RadiusSums {
-    fn new(radius_world: f64) -> Self {
+    pub(super) fn new(radius_world: f64) -> Self {
         let linear = ValueSums::new(HISTOGRAM_REACH / radius_world);
         let square = ValueSums::new(linear.histogram.high * linear.histogram.high);
         Self {
@@ -380,7 +357,7 @@ impl RadiusSums {
         }
     }
 
-    fn row(&mut self, area: f32, at: &CurvatureColumns, row: usize) {
+    pub(super) fn row(&mut self, area: f32, at: &CurvatureColumns, row: usize) {
         let [mean, gaussian, k1, k2] = [&at.mean, &at.gaussian, &at.k1, &at.k2].map(|v| v[row]);
         let flags = at.flags[row];
         let area = f64::from(area);
@@ -408,6 +385,33 @@ impl RadiusSums {
         {
             self.quality += weight * f64::from(quality) * f64::from(quality);
             self.quality_area += weight;
+        }
+    }
+
+    pub(super) fn finish(self, radius: &RadiusInfo) -> RadiusSummary {
+        let [mean, gaussian, k1, k2] = self.values.map(ValueSums::finish);
+        let counts = Flag::ALL.iter().zip(self.flags);
+        RadiusSummary {
+            label: radius.label.clone(),
+            voxels: radius.voxels,
+            world: radius.world,
+            all: self.all,
+            without_border: self.without_border,
+            flags: counts
+                .map(|(flag, rows)| FlagCount {
+                    name: flag.name(),
+                    bit: flag.bit(),
+                    rows,
+                })
+                .collect(),
+            mean_curvature: mean,
+            gaussian_curvature: gaussian,
+            k1,
+            k2,
+            principal_mismatch_rms: (self.mismatch_area > 0.0)
+                .then(|| (self.mismatch / self.mismatch_area).sqrt()),
+            quality_rms: (self.quality_area > 0.0)
+                .then(|| (self.quality / self.quality_area).sqrt()),
         }
     }
 

@@ -7,6 +7,8 @@ use tempfile::TempDir;
 
 /// What goes wrong, and the exit code it gives.
 mod exits;
+/// `curvox mesh`.
+mod meshes;
 /// Normals given in a table, or made of grey values.
 mod normals;
 /// Outputs of `run`: a directory, a file, a stream.

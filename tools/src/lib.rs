@@ -8,6 +8,7 @@
 //!   differ from the plain ones.
 //! * [`agreement`] compares the plain reference with DGtal, [`accuracy`] with the truth.
 //! * [`grey`] compares normals from grey values with normals from bits.
+//! * [`meshes`] makes polyhedra of known curvature: Schwarz lanterns, spheres, tori.
 //! * [`picture`] draws what a run of `curvox` left.
 //! * [`paper`] repeats the experiments of the paper with the `curvox` command.
 
@@ -25,6 +26,7 @@ pub mod accuracy;
 pub mod agreement;
 
 pub mod grey;
+pub mod meshes;
 
 pub mod picture;
 

@@ -8,6 +8,7 @@ use clap::{Parser, Subcommand};
 use curvox_tools::accuracy::KnownShape;
 use curvox_tools::agreement::{self, Comparison};
 use curvox_tools::grey::GreyArgs;
+use curvox_tools::meshes::MeshCommand;
 use curvox_tools::npz::Table;
 use curvox_tools::paper::PaperArgs;
 use curvox_tools::picture::PictureArgs;
@@ -41,6 +42,9 @@ enum Command {
         #[arg(long, value_delimiter = ',', default_value = "1,0.5,0.25")]
         gridsteps: Vec<f64>,
     },
+    /// Write a polyhedron of known curvature, with its normals, as an OBJ file
+    #[command(subcommand)]
+    Mesh(MeshCommand),
     /// Draw what a run left as a PNG file: its surfels, or one of its slices
     Picture(PictureArgs),
     /// Repeat the experiments of the paper with the curvox command: figures, numbers, one page
@@ -76,6 +80,7 @@ fn main() -> Result<()> {
             }
         }
         Command::Picture(arguments) => arguments.run()?,
+        Command::Mesh(command) => command.run()?,
         Command::Paper(arguments) => arguments.run()?,
         Command::Grey(arguments) => arguments.run()?,
         Command::Errors {
