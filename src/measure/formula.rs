@@ -14,7 +14,7 @@ use crate::symmetric::Symmetric;
 /// Normals whose scalar product is below this count as opposite: within 2e-6 of a half turn, where the
 /// arc between them is rounding noise. There the paper's condition (ii) of a corrected normal
 /// field fails; for mu2 the arc is taken through the trivial normals, and mu1 is 0.
-const OPPOSITE: f64 = -1.0 + 2e-12;
+pub(super) const OPPOSITE: f64 = -1.0 + 2e-12;
 
 /// Two normals whose cross product is shorter than this count as parallel; the rotation axis
 /// between them would be rounding noise, and their measure is below it.
