@@ -135,7 +135,9 @@ fn agree(solid: &Solid, settings: &Settings) -> usize {
         }
         assert!(
             (row.sums.mu2 - plain.sums.mu2).abs() < 1e-9,
-            "{place:?} mu2"
+            "{place:?} mu2 {} {} {settings:?}",
+            row.sums.mu2,
+            plain.sums.mu2
         );
         let expected = if settings.quality {
             plain.sums.omega

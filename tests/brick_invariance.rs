@@ -34,7 +34,7 @@ fn the_cut_does_not_show() {
             (Some(32), 200, 2),
             (Some(64), 1024, 7),
             (Some(100), 1024, 3),
-            (None, 96, 2),
+            (None, 100, 2),
         ] {
             settings.brick = brick;
             settings.memory_bytes = memory_mib << 20;

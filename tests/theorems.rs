@@ -2,7 +2,7 @@ use std::f64::consts::PI;
 
 use curvox::khalimsky::Adjacency;
 use curvox::measure::ball::Weights;
-use curvox::measure::cells::{Asked, CellMeasures, CellTotals, Keep, evaluate};
+use curvox::measure::cells::{Asked, CellMeasures, CellTotals, Keep, evaluate, mark};
 use curvox::measure::field::Field;
 use curvox::measure::fixed::{LUMPED_SOLID_ANGLE, to_measure, to_solid_angle};
 use curvox::measure::formula::spherical_triangle;
@@ -121,6 +121,8 @@ fn gauss_bonnet_holds_in_integers_for_random_normals() {
             let (measures, totals) = cells(&solid, &settings, &u, asked);
             assert_eq!(totals.euler_gauss_bonnet(), Some(totals.euler_counted()));
             assert_eq!(measures.omega.iter().sum::<i64>(), 0);
+            let lifted = measures.marks.iter().filter(|&&m| m & mark::LIFTED != 0);
+            assert!(totals.absolute_lifts > 0 && lifted.count() > 0);
             let share = totals.absolute_lifts as f64 / count as f64;
             println!("{field:?}: sum|k| / surfels = {share:.3}");
         }
@@ -252,10 +254,7 @@ fn quality_falls_with_the_gridstep_and_errors_of_the_fields_are_alike() {
                     "{normals} normals, {field:?}, h = {h}: quality {quality:.2e} (H {mean:.2e}), \
                      l2 of H {of_mean:.5}, of G {of_gaussian:.5}"
                 );
-                assert!(
-                    quality < 0.8 * last && quality < 0.2 * mean,
-                    "{quality} {last}"
-                );
+                assert!(quality < last && quality < 0.05 * mean, "{quality} {last}");
                 last = quality;
                 // l2 of DGtal with constant, ii normals; exact ones are better
                 let [bound, bound_g] = match h {
@@ -311,10 +310,11 @@ fn mu2_is_the_area_of_the_fan_from_any_centre_in_the_hemisphere() {
         assert_eq!(measures.umbrellas.len(), plain.umbrella_count());
         let centres = |polygon: &[DVec3], random: &mut Random| {
             let mut centres = vec![pole, polygon.iter().sum::<DVec3>().normalize()];
-            // anywhere else from which the whole polygon is in an open hemisphere
-            centres.extend((0..40).map(|_| direction(random)));
+            // near the pole, and anywhere else from which the whole polygon is in an open hemisphere
+            centres.extend((0..6).map(|_| (pole + 0.15 * direction(random)).normalize()));
+            centres.extend((0..20).map(|_| direction(random)));
             centres.retain(|c| polygon.iter().all(|v| c.dot(*v) > 0.01));
-            assert!(centres.len() > 1);
+            assert!(centres.len() > 6);
             centres
         };
         for (umbrella, &mu2) in measures.umbrellas.iter().enumerate() {

@@ -33,8 +33,10 @@ use crate::lattice::{Ball, Lattice, LatticeError};
 use crate::surfel::{Kind, Rim, Surfel, Walker, displacement};
 use crate::symmetric::Symmetric;
 
-use super::cells::{Around, CellMeasures, Lumped, Tensor, mark, umbrella};
+use super::cells::{Lumped, mark};
 use super::fixed;
+pub use super::local::LocalMeasures;
+use super::local::{LocalCells, NONE};
 use super::surface::Surface;
 
 /// Which part of the surface in the ball is summed.
@@ -75,110 +77,6 @@ pub struct BallSums {
     pub several_sheets: bool,
     /// The border of an open image cuts what was summed, or what its normals came from.
     pub cut: bool,
-}
-
-/// Measures of all surfels of a [`Surface`], in the form the sums read.
-#[derive(Clone, Debug)]
-pub struct LocalMeasures {
-    marks: Vec<u8>,
-    lumped: Vec<Lumped>,
-    /// mu_Omega lumped on surfels, if it was evaluated.
-    omega: Vec<i64>,
-    cells: Option<Box<LocalCells>>,
-}
-
-/// Unlumped measures, and which linel and umbrella each side and corner of a surfel is.
-#[derive(Clone, Debug)]
-struct LocalCells {
-    mu0: Vec<i64>,
-    linels: Vec<Tensor>,
-    umbrellas: Vec<i64>,
-    /// mu_Omega of each linel, if it was evaluated.
-    omega: Vec<i64>,
-    degree: Vec<u8>,
-    linel_of: Vec<[u32; 4]>,
-    umbrella_of: Vec<[u32; 4]>,
-}
-
-/// No linel or umbrella: it is on the border of the image or leaves the box.
-const NONE: u32 = u32::MAX;
-
-impl LocalMeasures {
-    /// Takes measures gathered for all surfels of a surface, in order.
-    ///
-    /// # Panics
-    /// If there are not as many as surfels.
-    #[must_use]
-    pub fn new(surface: &Surface, gathered: CellMeasures) -> Self {
-        assert_eq!(gathered.marks.len(), surface.len(), "one mark a surfel");
-        if gathered.owned_from.is_empty() {
-            assert_eq!(gathered.lumped.len(), surface.len(), "one lump a surfel");
-            return Self {
-                marks: gathered.marks,
-                lumped: gathered.lumped,
-                omega: gathered.omega,
-                cells: None,
-            };
-        }
-        let marks = gathered.marks.clone();
-        let cells = Some(Box::new(LocalCells::new(surface, gathered)));
-        Self {
-            marks,
-            lumped: Vec::new(),
-            omega: Vec::new(),
-            cells,
-        }
-    }
-}
-
-impl LocalCells {
-    fn new(surface: &Surface, gathered: CellMeasures) -> Self {
-        let count = surface.len();
-        let mut linel_of = vec![[NONE; 4]; count];
-        let mut umbrella_of = vec![[NONE; 4]; count];
-        let mut degree = vec![0; gathered.umbrellas.len()];
-        let mut members = Vec::with_capacity(8);
-        for i in 0..count {
-            let [mut linel, mut pointel] = gathered.owned_from[i];
-            let end = gathered.owned_from[i + 1];
-            for j in 0..4 {
-                let link = surface.links.of[i][j];
-                match link.surfel() {
-                    // Surfels at the edge of the box may own linels that leave it; those are
-                    // out of every ball, and the next surfel starts at its own offset.
-                    Some(n) if n > i && linel < end[0] => {
-                        linel_of[i][j] = linel;
-                        linel_of[n][link.side_there()] = linel;
-                        linel += 1;
-                    }
-                    _ => {}
-                }
-                if let Around::Cycle = umbrella(surface, i, j, &mut members) {
-                    if pointel == end[1] {
-                        continue;
-                    }
-                    degree[pointel as usize] = members.len() as u8;
-                    let (mut at, mut corner) = (i, j);
-                    for _ in 0..members.len() {
-                        umbrella_of[at][corner] = pointel;
-                        if let Ok(next) = surface.links.next_corner(at, corner) {
-                            (at, corner) = next;
-                        }
-                    }
-                    pointel += 1;
-                }
-            }
-        }
-        Self {
-            mu0: gathered.mu0,
-            linels: gathered.linels,
-            umbrellas: gathered.umbrellas,
-            omega: gathered.omega,
-            degree,
-            linel_of,
-            umbrella_of,
-        }
-    }
 }
 
 /// A row of cells in the ball around a surfel of one kind, relative to its cell.

@@ -33,7 +33,9 @@
 //!
 //! Each mu2 is right to some 20 units of 9e-14. k is not 0 where the normals of a surfel turn more than
 //! a hemisphere, or away from the surface by as much. The n are all tilted by
-//! 2e-3, so that no `u` made of trivial normals is opposite to one, where T is undefined.
+//! 2e-3, so that no `u` made of trivial normals is opposite to one, where T is undefined. Where the
+//! normals of neighbouring pointels are opposite, the arc between them runs through the mean of the two n beside,
+//! or, if that is one of them, through the direction of the linel.
 //!
 //! Not guaranteed: a Gauss-Bonnet theorem for [`Field::Linear`]. Its `u` is shorter than 1
 //! between pointels, so the sum of mu2 is only near 2 pi (V - E + F), and there are no lifts. Nor a
@@ -41,7 +43,7 @@
 
 use glam::{DQuat, DVec3};
 
-use crate::khalimsky::{Direction, SIDES, axis, sign};
+use crate::khalimsky::{Direction, SIDES, axis, sign, step};
 use crate::normal::trivial_normal;
 use crate::surfel::{CellBox, Link};
 
@@ -49,7 +51,7 @@ use super::cells::{
     Around, CellMeasures, CellTotals, Keep, Lumped, Numbers, RIM, mark, spread_cut, umbrella,
 };
 use super::fixed;
-use super::formula::spherical_triangle;
+use super::formula::{OPPOSITE, spherical_triangle};
 use super::patch::{Patch, circulation};
 use super::surface::Surface;
 
@@ -85,6 +87,9 @@ impl Field {
 
 /// A sum of unit vectors shorter than this has no direction.
 const NO_DIRECTION: f64 = 1e-9;
+
+/// Two unit vectors whose scalar product is this large in size do not tell on which side an arc passes.
+const COLLINEAR: f64 = 0.99;
 
 /// The trivial normals, tilted together: the areas between them stay the same.
 fn tilted_normals() -> [DVec3; 6] {
@@ -288,11 +293,26 @@ fn fan(u: DVec3, normals: &[DVec3; 6], f: Direction, g: Direction) -> i64 {
 
 /// The lift of the area of surfel `i`: the sum over its linels.
 fn lift(surface: &Surface, pointels: &Pointels, normals: &[DVec3; 6], i: usize) -> i64 {
+    let orientation = |f: usize| surface.surfels.list[f].orientation;
     // T(n_f, u_v, u_w) of the linel v -> w that is side `j` of surfel f
     let term = |f: usize, j: usize| {
-        let n = normals[surface.surfels.list[f].orientation as usize];
+        let n = normals[orientation(f) as usize];
         let [v, w] = [(j + 3) % 4, j].map(|corner| pointels.u[pointels.at[f][corner] as usize]);
-        fixed::from_solid_angle(spherical_triangle(n, v, w))
+        let area = if v.dot(w) < OPPOSITE {
+            let beside = surface.links.of[f][j].surfel().unwrap_or(f);
+            let sum = trivial_normal(orientation(f)) + trivial_normal(orientation(beside));
+            let mean = sum / sum.length();
+            let between = if mean.dot(v).abs() < COLLINEAR {
+                mean
+            } else {
+                let along = SIDES[orientation(f) as usize][(j + 1) % 4];
+                DVec3::from_array(step(along).map(f64::from))
+            };
+            spherical_triangle(n, v, between) + spherical_triangle(n, between, w)
+        } else {
+            spherical_triangle(n, v, w)
+        };
+        fixed::from_solid_angle(area)
     };
     (0..4)
         .map(|j| {

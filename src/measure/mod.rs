@@ -19,5 +19,6 @@ pub mod cells;
 pub mod field;
 pub mod fixed;
 pub mod formula;
+mod local;
 pub mod patch;
 pub mod surface;

@@ -267,6 +267,7 @@ fn csv_row(batch: &SurfelBatch, row: usize, line: &mut Vec<u8>) -> std::io::Resu
             .d1
             .iter()
             .chain(&at.d2)
+            .chain([&at.quality])
             .filter(|column| !column.is_empty())
         {
             write!(line, ",{:?}", column[row])?;

@@ -118,6 +118,7 @@ fn columns_of_several_radii_carry_them() {
         "--radius",
         "3vx,6vx",
         "--directions",
+        "--quality",
     ])
     .out();
     let header = String::from_utf8(table)
@@ -131,10 +132,42 @@ fn columns_of_several_radii_carry_them() {
         "gaussian_curvature_6vx",
         "d1x_3vx",
         "d2z_6vx",
+        "quality_3vx",
+        "quality_6vx",
         "flags_6vx",
     ] {
         assert!(header.split(',').any(|c| c == column), "{header}");
     }
+}
+
+#[test]
+fn fields_and_quality_are_told() {
+    let place = Place::with_ball();
+    for (field, gauss_bonnet) in [
+        ("constant", serde_json::json!(2)),
+        ("interpolated", serde_json::json!(2)),
+        ("linear", serde_json::Value::Null),
+    ] {
+        let out = format!("out-{field}");
+        let more = ["--field", field, "--quality", "--weights", "sharp"];
+        let ended = run(&place, "ball.nii", &out, &more);
+        let told = String::from_utf8(ended.out).unwrap() + &ended.err;
+        assert_eq!(told.contains("sum|k| = 0"), field != "linear", "{told}");
+        assert!(told.contains("quality"), "{told}");
+        let summary = place.summary(&out);
+        assert_eq!(summary["exact"]["euler_gauss_bonnet"], gauss_bonnet);
+        assert_eq!(summary["exact"]["sum_abs_k"], 0);
+        let radius = &summary["radii"][0];
+        let (quality, mean) = (&radius["quality_rms"], &radius["mean_curvature"]["mean"]);
+        assert!(quality.as_f64().unwrap() < 0.05 * mean.as_f64().unwrap());
+        let info = curvox(&["info", "--json", &place.text(&out)]).json();
+        assert_eq!(info["parameters"]["field"], field);
+        let columns: Vec<_> = info["columns"].as_array().unwrap().to_vec();
+        assert!(columns.iter().any(|c| c["name"] == "quality"));
+    }
+    let plain = run(&place, "ball.nii", "plain", &[]);
+    assert!(!String::from_utf8(plain.out).unwrap().contains("quality"));
+    assert!(place.summary("plain")["radii"][0]["quality_rms"].is_null());
 }
 
 #[test]

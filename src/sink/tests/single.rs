@@ -49,6 +49,7 @@ fn csv_parses_back_to_the_same_values() {
     let names: Vec<&str> = lines.next().unwrap().split(',').collect();
     let at = |name: &str| names.iter().position(|n| *n == name).unwrap();
     let (kz, nx, k1, d2z) = (at("kz"), at("nx"), at("k1_4_5vx"), at("d2z_3vx"));
+    let (quality, flags) = (at("quality_4_5vx"), at("flags_4_5vx"));
     let mut count = 0;
     for (row, line) in lines.enumerate() {
         let cells: Vec<&str> = line.split(',').collect();
@@ -58,6 +59,8 @@ fn csv_parses_back_to_the_same_values() {
         assert_eq!(float(nx), rows.normal[0][row].to_bits());
         assert_eq!(float(k1), rows.curvatures[1].k1[row].to_bits());
         assert_eq!(float(d2z), rows.curvatures[0].d2[2][row].to_bits());
+        assert_eq!(float(quality), rows.curvatures[1].quality[row].to_bits());
+        assert_eq!(cells[flags], rows.curvatures[1].flags[row].to_string());
         count += 1;
     }
     assert_eq!(count, rows.len());

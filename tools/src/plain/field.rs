@@ -4,7 +4,8 @@
 //! carry none (Lachaud, Romon, Thibert, *Corrected curvature measures*, Example 2.4 and
 //! Proposition 3.5). Guaranteed: mu0 and the tensor by 4 x 4 Gauss points, exact for
 //! [`Field::Linear`]; mu_Omega by a closed form; mu2 of [`Field::Interpolated`] is the area of a spherical quadrilateral in
-//! (-2 pi, 2 pi]. Not guaranteed: anything where neighbouring pointels have opposite normals.
+//! (-2 pi, 2 pi]. Not guaranteed: a meaning where neighbouring pointels
+//! have opposite normals.
 
 use super::algebra::{
     ENTRIES, Symmetric, Vector, cross, determinant, dot, norm, normalised, scaled,
@@ -13,7 +14,7 @@ use super::cells::{HALF_SPHERE_SLACK, MU2_UNIT, QUARTER, UNIT};
 use super::formula::triangle_area;
 use super::solid::Scale;
 use super::sums::FixedSums;
-use super::surface::{Surface, Surfel};
+use super::surface::{OPEN, Surface, Surfel};
 
 /// How u goes on from surfels to the whole surface.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -57,16 +58,14 @@ pub fn pointel_normals(surface: &Surface, u: &[Vector]) -> Vec<Vector> {
 pub fn measures(surface: &Surface, u: &[Vector], scale: &Scale, field: Field) -> Vec<FixedSums> {
     let of_pointels = pointel_normals(surface, u);
     let units = |x: f64| (x / UNIT).round() as i64;
-    surface
-        .surfels
-        .iter()
-        .zip(&surface.umbrellas_of)
-        .map(|(surfel, umbrellas)| {
-            let corners = umbrellas.map(|o| of_pointels[o as usize]);
+    (0..surface.len())
+        .map(|f| {
+            let surfel = &surface.surfels[f];
+            let corners = surface.umbrellas_of[f].map(|o| of_pointels[o as usize]);
             let integrals = integrals(surfel, corners, scale, field);
             let mu2 = match field {
                 Field::Linear => (integrals.mu2 / MU2_UNIT).round() as i64,
-                Field::Constant | Field::Interpolated => area(corners),
+                Field::Constant | Field::Interpolated => area(&outline(surface, f, corners)),
             };
             FixedSums {
                 mu0: units(integrals.mu0),
@@ -165,16 +164,43 @@ fn integrals(surfel: &Surfel, corners: [Vector; 4], scale: &Scale, field: Field)
     sums
 }
 
-/// Area of the spherical quadrilateral of four normals, modulo the sphere in (-2 pi, 2 pi].
+/// The corners of a spherical quadrilateral, counter-clockwise; between opposite ones, where there is no one arc,
+/// also the mean of the trivial normals of the two surfels beside; if that is one of them, the direction in
+/// which the boundary of the first surfel runs.
+fn outline(surface: &Surface, f: usize, corners: [Vector; 4]) -> Vec<Vector> {
+    let mut outline = Vec::new();
+    for side in 0..4 {
+        let (v, w) = (corners[(side + 3) % 4], corners[side]);
+        outline.push(v);
+        if dot(v, w) < -1.0 + 2e-12 {
+            let n = surface.surfels[f].normal();
+            let beside = surface.neighbours[f][side];
+            let other = match beside {
+                OPEN => n,
+                g => surface.surfels[g as usize].normal(),
+            };
+            let mean = normalised([0, 1, 2].map(|a| n[a] + other[a]));
+            let sign = if beside < f as u32 { -1.0 } else { 1.0 };
+            let along = surface.surfels[f].steps()[(side + 1) % 4];
+            outline.push(if dot(mean, v).abs() < 0.99 {
+                mean
+            } else {
+                along.map(|x| sign * f64::from(x))
+            });
+        }
+    }
+    outline
+}
+
+/// Area of a spherical polygon, modulo the sphere in (-2 pi, 2 pi].
 ///
 /// The sum of the triangles from any apex to the sides; of some apexes the one from which no
 /// triangle is nearly degenerate.
-fn area(corners: [Vector; 4]) -> i64 {
+fn area(outline: &[Vector]) -> i64 {
     let fan = |apex: Vector| {
         let mut sum = 0.0;
         let mut least = f64::INFINITY;
-        for corner in 0..4 {
-            let (v, w) = (corners[corner], corners[(corner + 1) % 4]);
+        for (&v, &w) in outline.iter().zip(outline.iter().cycle().skip(1)) {
             let cosines = 1.0 + dot(apex, v) + dot(v, w) + dot(w, apex);
             least = least.min(determinant(apex, v, w).hypot(cosines));
             sum += triangle_area(apex, v, w);

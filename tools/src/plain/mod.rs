@@ -90,7 +90,7 @@ pub struct Flags {
     pub several_sheets: bool,
     /// The connected ball is a closed surface.
     pub island: bool,
-    /// <u, n> <= 0.
+    /// <u, n> <= 0; with a continuous field on the average, mu0 <= 0.
     pub reversed: bool,
     /// An umbrella of this surfel has a lift: k != 0; never with a continuous field.
     pub lift: bool,
@@ -175,7 +175,10 @@ pub fn measure(
             border: walk.meets_border,
             several_sheets: false,
             island: !walk.meets_border && !walk.meets_rim,
-            reversed: dot(u, surfel.normal()) <= 0.0,
+            reversed: match cells.of_surfels {
+                Some(_) => cells.mu0[p as usize] <= 0,
+                None => dot(u, surfel.normal()) <= 0.0,
+            },
             lift: surface.umbrellas_of[p as usize]
                 .iter()
                 .any(|&o| cells.lift[o as usize] != 0),
