@@ -14,3 +14,6 @@ mod agreement;
 
 /// What DGtal's cells and walk do on small solids.
 mod dgtal;
+
+/// The experiments of the paper, quickly.
+mod paper;

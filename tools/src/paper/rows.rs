@@ -313,3 +313,133 @@ fn judge(rows: &Rows, radius: usize, truth: &[Option<Truth>]) -> Judged {
     });
     Judged { values, directions }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use curvox::sink::{CurvatureColumns, RadiusInfo};
+
+    /// The surfels of one voxel at the origin, of unit edge, with trivial normals.
+    fn one_voxel() -> Rows {
+        let info = TableInfo {
+            dims: [1; 3],
+            spacing: [1.0; 3],
+            unit: "vx".into(),
+            origin: [0.0; 3],
+            direction: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+            radii: vec![RadiusInfo {
+                label: "3vx".into(),
+                voxels: 3.0,
+                world: 3.0,
+            }],
+            directions: true,
+            parameters: Default::default(),
+            version: "0.1.0".into(),
+            conventions: Vec::new(),
+        };
+        let mut batch = SurfelBatch {
+            curvatures: vec![CurvatureColumns::default()],
+            ..SurfelBatch::default()
+        };
+        for axis in 0..3 {
+            for side in [-1_i8, 1] {
+                let k = [0, 1, 2].map(|a| 1 + i32::from(a == axis) * i32::from(side));
+                for a in 0..3 {
+                    batch.k[a].push(k[a]);
+                    batch.position[a].push((k[a] - 1) as f32 / 2.0);
+                    batch.normal[a].push((k[a] - 1) as f32);
+                }
+                batch.side.push(side);
+                batch.area.push(1.0);
+                let at = &mut batch.curvatures[0];
+                for column in [&mut at.mean, &mut at.gaussian, &mut at.k1, &mut at.k2] {
+                    column.push(2.0);
+                }
+                for (d1, d2) in at.d1.iter_mut().zip(&mut at.d2) {
+                    d1.push(0.0);
+                    d2.push(0.0);
+                }
+                at.d1[(axis + 1) % 3][batch.side.len() - 1] = 1.0;
+                at.d2[(axis + 2) % 3][batch.side.len() - 1] = 1.0;
+                at.flags.push(0);
+            }
+        }
+        Rows { info, batch }
+    }
+
+    #[test]
+    fn a_voxel_has_twelve_pairs_of_neighbours_at_right_angles() {
+        let rows = one_voxel();
+        let neighbours = rows.neighbours();
+        assert_eq!(neighbours.len(), 12);
+        let jump = rows.normal_jump(&neighbours);
+        assert!((jump - 2_f64.sqrt()).abs() < 1e-12);
+    }
+
+    #[test]
+    fn linels_of_four_surfels_join_no_neighbours() {
+        let mut rows = one_voxel();
+        // Another voxel across an edge: (1, 1, 0).
+        let other = one_voxel();
+        rows.batch.extend_from(&other.batch, 0..6);
+        for row in 6..12 {
+            rows.batch.k[0][row] += 2;
+            rows.batch.k[1][row] += 2;
+        }
+        assert_eq!(rows.neighbours().len(), 11 + 11);
+    }
+
+    #[test]
+    fn errors_of_a_voxel_are_those_of_a_sphere_around_it() {
+        let mut rows = one_voxel();
+        let truth = truth("sphere:radius=0.5", &rows).unwrap();
+        let measured = Measured::of(&rows, Some(&truth)).unwrap();
+        let [mean, gaussian, k1, _] = measured.at[0].values.unwrap();
+        // H = 2, G = 4, and the voxel has 2 for all.
+        assert!(mean.linf < 1e-9 && k1.l2 < 1e-9);
+        assert!((gaussian.l2 - 2.0).abs() < 1e-9);
+        assert!(measured.normals.unwrap().linf < 1e-6);
+        // All of it is an umbilic.
+        assert_eq!(measured.at[0].directions.unwrap()[0].count, 0);
+        assert_eq!(measured.left_out, 0);
+
+        rows.batch.curvatures[0].flags[0] = Flag::Island.bit();
+        rows.batch.curvatures[0].mean[1] = f32::NAN;
+        let measured = Measured::of(&rows, Some(&truth)).unwrap();
+        assert_eq!(measured.left_out, 2);
+        assert!(measured.at[0].values.unwrap()[0].linf < 1e-9);
+    }
+
+    #[test]
+    fn directions_are_lines() {
+        let mut rows = one_voxel();
+        let truth: Vec<Option<Truth>> = (0..6)
+            .map(|row| {
+                let columns = &rows.batch.curvatures[0];
+                Some(Truth {
+                    values: [2.0, 3.0, 1.0, 3.0],
+                    normal: [0, 1, 2].map(|a| rows.batch.normal[a][row]),
+                    directions: [&columns.d1, &columns.d2].map(|d| [0, 1, 2].map(|a| d[a][row])),
+                })
+            })
+            .collect();
+        for column in &mut rows.batch.curvatures[0].d1 {
+            column.iter_mut().for_each(|x| *x = -*x);
+        }
+        let measured = Measured::of(&rows, Some(&truth)).unwrap();
+        let [d1, d2] = measured.at[0].directions.unwrap();
+        assert!(d1.linf < 1e-6 && d2.linf < 1e-6);
+        let columns = &mut rows.batch.curvatures[0];
+        columns.d1 = columns.d2.clone();
+        let measured = Measured::of(&rows, Some(&truth)).unwrap();
+        assert!((measured.at[0].directions.unwrap()[0].median - 90.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn errors_leave_out_what_is_no_number() {
+        let errors = Errors::of([3.0, f64::NAN, 4.0, 0.0, f64::INFINITY].into_iter());
+        assert_eq!((errors.linf, errors.median, errors.count), (4.0, 3.0, 3));
+        assert!((errors.l2 - (25.0_f64 / 3.0).sqrt()).abs() < 1e-12);
+        assert!(Errors::of(std::iter::empty()).l2.is_nan());
+    }
+}

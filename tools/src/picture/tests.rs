@@ -5,7 +5,7 @@ use std::path::Path;
 
 use anyhow::Result;
 use curvox::sink::{
-    Check, CurvatureColumns, OutputInfo, RadiusInfo, SingleSink, SinkError, SurfelBatch,
+    Check, CurvatureColumns, OutputInfo, Palette, RadiusInfo, SingleSink, SinkError, SurfelBatch,
     SurfelSink, TableInfo,
 };
 use flate2::Crc;
@@ -397,4 +397,100 @@ fn ticks_have_three_digits_at_most() {
     ] {
         assert_eq!(number(value), text);
     }
+}
+
+#[test]
+fn errors_are_white_then_red_then_black() {
+    let colours = ColourMap::Error { range: 0.05 };
+    let expected = [
+        (0.0, [1.0; 3]),
+        (0.025, [1.0, 0.0, 0.0]),
+        (-0.025, [1.0, 0.0, 0.0]),
+        (0.05, [0.0; 3]),
+        (9.0, [0.0; 3]),
+        (f32::NAN, [0.0; 3]),
+    ];
+    for (value, colour) in expected {
+        assert_eq!(colours.colour(value), colour, "{value}");
+    }
+}
+
+#[test]
+fn the_black_band_is_as_wide_as_asked() {
+    let colours = ColourMap::Signed {
+        palette: Palette::BlueRed,
+        range: 0.05,
+        band: 0.0005,
+    };
+    assert_eq!(colours.colour(0.0004), [0.0; 3]);
+    assert!(colours.colour(0.0006).iter().all(|&channel| channel > 0.9));
+    assert_eq!(colours.colour(0.05), [1.0, 0.0, 0.0]);
+    assert_eq!(colours.ends(), [-0.05, 0.05]);
+}
+
+#[test]
+fn sticks_show_on_the_side_of_the_eye() {
+    let (info, batch) = ball(20, |_| 1.0);
+    // Of the ball's highest and lowest place.
+    let middle = [0, 1, 2].map(|a| info.origin[a] + info.spacing[a] * 9.5);
+    let black = |height: f64| {
+        let stick = Stick {
+            centre: DVec3::from_array(middle) + DVec3::Z * height,
+            direction: DVec3::X,
+            length: 3.0,
+        };
+        let scene = Scene {
+            path: Path::new("table"),
+            info: &info,
+            view: "z".parse().unwrap(),
+            width: 200,
+            sticks: &[stick],
+        };
+        let rows = || [Ok::<_, SinkError>(batch.clone())];
+        let image = scene.draw(rows, |_, _, _| [1.0, 0.0, 0.0]).unwrap();
+        let [width, height] = image.size();
+        let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
+        pixels.filter(|&(x, y)| image.pixel(x, y) == [0; 3]).count()
+    };
+    assert!(black(5.0) > 50);
+    assert_eq!(black(-5.0), 0);
+}
+
+#[test]
+fn montage_holds_its_pictures_side_by_side() {
+    let coloured = |colour: [u8; 3], size: [usize; 2]| {
+        let mut image = Image::white(size);
+        image.fill([0, 0], size, colour);
+        image
+    };
+    let montage = Montage {
+        columns: vec!["h = 0.5".into(), "h = 0.25".into()],
+        rows: vec![
+            (
+                "H".into(),
+                vec![
+                    coloured([9, 0, 0], [200, 50]),
+                    coloured([8, 0, 0], [200, 60]),
+                ],
+            ),
+            ("G".into(), vec![coloured([7, 0, 0], [200, 40])]),
+        ],
+        bars: vec![Bar {
+            colours: ColourMap::Error { range: 1.0 },
+            title: "error".into(),
+        }],
+    };
+    let image = montage.image();
+    let [width, height] = image.size();
+    assert_eq!(width, 400);
+    let count = |red: u8| {
+        let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
+        pixels
+            .filter(|&(x, y)| image.pixel(x, y) == [red, 0, 0])
+            .count()
+    };
+    assert_eq!(
+        [count(9), count(8), count(7)],
+        [200 * 50, 200 * 60, 200 * 40]
+    );
 }
