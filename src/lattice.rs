@@ -13,8 +13,8 @@ use std::fmt;
 /// Fixed-point one of squared edges, for voxels that are not cubes.
 const BOX_ONE: u64 = 1 << 20;
 
-/// Radii of balls are bounded so that rows of a ball, in voxels of any shape, stay short. Balls of
-/// measures are bounded further, by what a sum can hold: see [`crate::measure::fixed`].
+/// Radii of balls are bounded so that squared lengths in a ball, in voxels of any shape, fit 32 bits
+/// and its rows stay short. Balls of measures are bounded further, by what a sum can hold: see [`crate::measure::fixed`].
 pub const MAX_RADIUS: f64 = 63.0;
 
 /// The largest extent of a volume along an axis: Khalimsky coordinates are `i32`.

@@ -68,7 +68,8 @@ fn curvatures_are_those_of_counting_voxels() {
 
 #[test]
 fn a_sphere_has_its_curvature_also_in_the_widest_ball() {
-    for (sphere, radius) in [(40, 16.0), (80, 60.5)] {
+    // H of the continuous ball is exact; a centre off by half a voxel adds 2 / r^2.
+    for (sphere, radius, slack) in [(40, 16.0, 0.3), (80, 60.5, 0.05)] {
         let middle = sphere + 4;
         let solid = Solid::from_fn([2 * middle as usize + 1; 3], |p| {
             p.map(|x| (x - middle).pow(2)).iter().sum::<i32>() <= sphere * sphere
@@ -83,7 +84,8 @@ fn a_sphere_has_its_curvature_also_in_the_widest_ball() {
         assert!(found.len() > 100);
         for (k, c) in found {
             let in_radii = [c.mean, c.k1, c.k2].map(|x| x * f64::from(sphere));
-            let near = in_radii.iter().all(|x| (x - 1.0).abs() < 0.2);
+            assert!((in_radii[0] - 1.0).abs() < slack, "{k:?} {in_radii:?}");
+            let near = in_radii[1..].iter().all(|x| (x - 1.0).abs() < 1.3 * slack);
             assert!(near, "{k:?} {in_radii:?}");
         }
     }

@@ -57,6 +57,36 @@ fn usage_errors_give_2() {
             ],
             "ii",
         ),
+        (
+            &["--threshold", "1", "--voronoi-radius", "9vx"],
+            "--normals vcm",
+        ),
+        (
+            &[
+                "--threshold",
+                "1",
+                "--normals",
+                "vcm",
+                "--normal-radius",
+                "30vx",
+            ],
+            "by default 10/3",
+        ),
+        (
+            &[
+                "--threshold",
+                "1",
+                "--normals",
+                "vcm",
+                "--orientation",
+                "moment",
+            ],
+            "surface or dgtal",
+        ),
+        (
+            &["--threshold", "1", "--curvature", "ii", "--ball", "whole"],
+            "--curvature measures",
+        ),
         (&["--threshold", "1", "--to", "arrow"], "standard output"),
         (&[], "--otsu"),
     ] {
