@@ -34,6 +34,7 @@ pub(crate) fn run(args: &RunArgs, verbose: bool, stop: &AtomicBool) -> Result<()
     let target = job_args.output.target()?;
     let job = job_args.prepare(stop)?;
     refuse_input_as_output(job.volume.source.path.as_deref(), &target)?;
+    refuse_normals_as_output(job_args.method.normals_from(), &target)?;
     let plan = &job.plan;
     tracing::info!(
         brick_edge = plan.brick_edge,
@@ -141,6 +142,23 @@ pub(crate) fn refuse_input_as_output(input: Option<&Path>, target: &Target) -> R
     match (input.canonicalize(), output.canonicalize()) {
         (Ok(input), Ok(output)) if input == output => Err(exit::usage(format!(
             "-o {} is the input itself",
+            output.display()
+        ))),
+        _ => Ok(()),
+    }
+}
+
+/// Refuses to write the results over the normals they are made with.
+fn refuse_normals_as_output(normals: Option<&Path>, target: &Target) -> Result<()> {
+    let (Some(normals), Target::Directory(output) | Target::Parquet(output) | Target::Csv(output)) =
+        (normals, target)
+    else {
+        return Ok(());
+    };
+    match (normals.canonicalize(), output.canonicalize()) {
+        // A part of a table lies in the directory that would be replaced.
+        (Ok(normals), Ok(output)) if normals.starts_with(&output) => Err(exit::usage(format!(
+            "-o {} holds the normals of --normals-from",
             output.display()
         ))),
         _ => Ok(()),

@@ -85,9 +85,9 @@ pub(crate) struct ShapeArgs {
     )]
     dtype: Option<GreyType>,
 
-    /// Seed of the noise
-    #[arg(long, value_name = "S", default_value_t = 1)]
-    seed: u64,
+    /// Seed of the noise [default: 1]
+    #[arg(long, value_name = "S")]
+    seed: Option<u64>,
 
     #[command(flatten)]
     output: VolumeOutputArgs,
@@ -136,10 +136,14 @@ pub(crate) fn run(args: &ShapeArgs, stop: &AtomicBool) -> Result<()> {
         grid.offset = triple("--offset", &args.offset)?;
     }
     grid.margin = args.margin;
+    if args.seed.is_some() && args.noise.is_none() && args.grey_noise.is_none() {
+        return Err(usage("--seed is for --noise or --grey-noise"));
+    }
+    let seed = args.seed.unwrap_or(1);
     let digitisation = Digitisation::new(shape, grid).map_err(wrong)?;
     let noise = args
         .noise
-        .map(|p| Noise::new(p, args.seed))
+        .map(|p| Noise::new(p, seed))
         .transpose()
         .map_err(wrong)?;
     let format = args.output.format()?;
@@ -180,7 +184,7 @@ pub(crate) fn run(args: &ShapeArgs, stop: &AtomicBool) -> Result<()> {
             let scanner = Scanner {
                 blur: blur.transpose()?.unwrap_or(0.0),
                 noise: args.grey_noise.unwrap_or(0.0),
-                seed: args.seed,
+                seed,
             };
             let mut planes = GreyPlanes::new(&digitisation, scanner).map_err(wrong)?;
             args.output.write(&volume, |put| {

@@ -122,3 +122,78 @@ pub(super) fn estimate(given: &GivenNormals, surfels: &Surfels, lattice: &Lattic
     }
     normals
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::surfel::{CellBox, SurfelIndex};
+    use crate::volume::{BitBox, BitPlane};
+
+    #[test]
+    fn surfels_at_a_place_are_those_of_the_index() {
+        let dims = [7, 5, 4];
+        let inside = |x: u32, y: u32, z: u32| (x * 7 + y * 3 + z * 5 + x * y * z) % 5 < 2;
+        let planes = (0..dims[2])
+            .map(|z| {
+                let mut plane = BitPlane::outside(dims[0], dims[1]);
+                for (y, row) in plane.rows_mut().enumerate() {
+                    row[0] = (0..dims[0])
+                        .map(|x| u64::from(inside(x, y as u32, z)) << x)
+                        .sum();
+                }
+                Arc::new(plane)
+            })
+            .collect();
+        let window = PlaneWindow {
+            dims,
+            z0: 0,
+            planes,
+        };
+        for closed in [false, true] {
+            let lattice = Lattice::new(dims.map(u64::from), [1.0; 3], closed).unwrap();
+            let cells = CellBox {
+                lo: [0; 3],
+                hi: lattice.cell_dims(),
+            };
+            let bits = BitBox::cut(&window, [-1; 3], cells.hi.map(|c| c + 1));
+            let index = SurfelIndex::find(&bits, cells, &lattice);
+            let surfels = Surfels::list(&index, &bits);
+            let listed: Vec<_> = (0..surfels.list.len())
+                .map(|i| surfels.oriented(i))
+                .collect();
+            let mut found = Vec::new();
+            for kz in -3..12 {
+                for ky in -3..14 {
+                    for kx in -3..18 {
+                        for side in [-1, 0, 1] {
+                            found.extend(surfel_at(&window, &lattice, [kx, ky, kz], side));
+                        }
+                    }
+                }
+            }
+            assert!(listed.len() > 100);
+            assert_eq!(found, listed);
+            for extreme in [[i32::MIN; 3], [i32::MAX, 1, 2], [i32::MIN, 1, 1]] {
+                assert_eq!(surfel_at(&window, &lattice, extreme, 1), None);
+            }
+        }
+    }
+
+    #[test]
+    fn two_rows_of_a_surfel_are_an_error_in_any_order() {
+        let row = |k, row| GivenRow {
+            k,
+            side: 1,
+            file: 0,
+            row,
+            u: DVec3::X,
+        };
+        let rows = vec![row([3, 3, 2], 5), row([1, 2, 3], 0), row([3, 3, 2], 1)];
+        let [first, second] = GivenNormals::new(rows).unwrap_err();
+        assert_eq!([first.row, second.row], [1, 5]);
+        let given = GivenNormals::new(vec![row([3, 3, 4], 5), row([3, 3, 2], 1)]).unwrap();
+        assert_eq!(given.len(), 2);
+    }
+}

@@ -92,7 +92,7 @@ pub(super) fn of_slab(
         && let Some(surfel) = first_without(shared, bits, grid, &z, &given)
     {
         return Err(SinkError::Damaged {
-            path: table.path(0).to_owned(),
+            path: table.path().to_owned(),
             place: name(surfel.khalimsky(), sign(surfel.orientation)),
             found: "no row".into(),
             expected: "a normal for every surfel".into(),
@@ -124,13 +124,13 @@ fn first_without(
 /// The error of a surfel with two rows.
 fn twice(table: &NormalTable, [first, second]: [GivenRow; 2]) -> Error {
     SinkError::Damaged {
-        path: table.path(second.file).to_owned(),
+        path: table.file(second.file).to_owned(),
         place: format!("row {}", second.row),
         found: format!(
             "{}, which row {} of {} gave before",
             name(second.k, second.side.into()),
             first.row,
-            table.path(first.file).display()
+            table.file(first.file).display()
         ),
         expected: "each surfel once".into(),
     }

@@ -41,6 +41,7 @@ pub const GIVEN_READ_BYTES: u64 = 24 << 20;
 /// A table of normals, open to be read.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NormalTable {
+    path: PathBuf,
     files: Vec<NormalFile>,
 }
 
@@ -93,7 +94,10 @@ impl NormalTable {
             .into_iter()
             .map(NormalFile::open)
             .collect::<Result<_, _>>()?;
-        Ok(Self { files })
+        Ok(Self {
+            path: path.to_owned(),
+            files,
+        })
     }
 
     /// Memory held while the table is open and read.
@@ -104,9 +108,18 @@ impl NormalTable {
             + (groups * size_of::<Group>() + self.files.len() * size_of::<NormalFile>()) as u64
     }
 
-    /// The path of a file.
+    /// The file or directory that was opened.
     #[must_use]
-    pub fn path(&self, file: u32) -> &Path {
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The path of a file, by its number.
+    ///
+    /// # Panics
+    /// If no row came from such a file.
+    #[must_use]
+    pub fn file(&self, file: u32) -> &Path {
         &self.files[file as usize].path
     }
 

@@ -354,6 +354,41 @@ fn bad_tables_are_errors_that_say_where() {
 }
 
 #[test]
+fn the_table_of_normals_is_not_written_over() {
+    let place = Place::with_ball();
+    let (ball, out) = (place.text("ball.nii"), place.text("out"));
+    let asked = ["run", &ball, "--quiet", "--overwrite", "-o", &out];
+    let asked = [&asked[..], &BALL].concat();
+    curvox(&asked).out();
+    let part = place.text("out/surfels/part-00000.parquet");
+    let before = read(Path::new(&part));
+    for table in [&out, &part] {
+        let said = curvox(&[&asked[..], &["--normals-from", table]].concat()).fails(2);
+        assert!(said.contains("--normals-from"), "{said}");
+        assert!(read(Path::new(&part)) == before);
+    }
+}
+
+#[test]
+fn a_table_of_another_image_is_an_error() {
+    let place = Place::with_ball();
+    let ball = place.text("ball.nii");
+    // Nothing is inside: a table without a row, and a directory without a part.
+    for name in ["none.parquet", "none"] {
+        let none = place.text(name);
+        curvox(&["run", &ball, "--threshold", "2", "--quiet", "-o", &none]).out();
+        let said = fails(&place, &["--normals-from", &none], 3);
+        assert!(said.contains("found no row"), "{said}");
+        let (out, again) = (
+            place.text(&format!("{name}.csv")),
+            ["--normals-from", &none],
+        );
+        let asked = ["run", &ball, "--threshold", "2", "--quiet", "-o", &out];
+        curvox(&[&asked[..], &again].concat()).out();
+    }
+}
+
+#[test]
 fn options_of_other_normals_are_mistakes() {
     let place = Place::with_ball();
     for (options, word) in [

@@ -183,6 +183,7 @@ fn grey_shapes_have_their_surface_half_way() {
         (&["--blur", "1um"][..], "--blur"),
         (&["--blur", "20vx"], "blur"),
         (&["--grey-noise=-1"], "grey noise"),
+        (&["--seed", "3"], "--grey-noise"),
         (&["--noise", "0.1"], "--noise"),
         (&["--dtype", "u16", "--to", "vol"], "vol"),
     ] {
