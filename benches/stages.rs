@@ -179,7 +179,11 @@ fn measures(bencher: Bencher<'_, '_>, radius: f64, asked: Asked) {
         lattice,
         core,
     } = scene(radius);
-    let surface = Surface::extract(&window, core, &lattice, Adjacency::Interior);
+    let around = core.grown([1; 3], lattice.cell_dims());
+    let surface = Surface::extract(&window, around, &lattice, Adjacency::Interior);
+    let owned = (0..surface.len())
+        .filter(|&i| core.contains(surface.surfels.oriented(i).cell()))
+        .count();
     let u = surface
         .surfels
         .list
@@ -191,7 +195,7 @@ fn measures(bencher: Bencher<'_, '_>, radius: f64, asked: Asked) {
         .collect();
     let marks = vec![0; surface.len()];
     bencher
-        .counter(ItemsCount::new(surface.len()))
+        .counter(ItemsCount::new(owned))
         .bench_local(|| evaluate(&surface, core, lattice.edges(), &u, &marks, asked));
 }
 

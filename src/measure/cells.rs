@@ -210,6 +210,9 @@ pub(super) fn spread_cut(members: &[usize], marks: &[u8], core: &Numbers, core_m
 ///
 /// `u` and `marks` are those of all surfels of the surface; the marks of the core are completed
 /// with [`mark::LIFTED`], [`mark::OPPOSED`] and [`mark::NEAR_CUT`].
+///
+/// # Panics
+/// With a continuous field, if the surface does not cover the cells around the core.
 #[must_use]
 pub fn evaluate(
     surface: &Surface,
