@@ -9,6 +9,8 @@
 //!   2 pi r h (1 - O(1/n^2)).
 //! * mu1 is not (2 / r) mu0: u turns along the circles alone, so mu1 = dtheta dz = mu0 / |p|. In the
 //!   limit mu1 = mu0 / r, which is twice the integral of H = 1 / (2 r), as it should.
+//!
+//! With u linear, not made a unit vector, mu1 = mu0 / r holds exactly.
 
 use std::f64::consts::{PI, TAU};
 
@@ -169,6 +171,23 @@ fn with_interpolated_u_mu1_lies_between_mu0_over_r_and_mu0_over_the_least_distan
         let ratio = face.mu1() / face.mu0;
         assert!((1.0 / r..1.0 / least).contains(&ratio), "{ratio}");
         assert!(face.omega.abs() < 1e-2 * face.mu0);
+    }
+}
+
+#[test]
+fn with_linear_u_the_curvatures_of_the_cylinder_are_exact_on_every_face() {
+    // u = (x, y) / r wherever a point of the lantern lies: mu1 = mu0 / r, whatever the ball.
+    for (m, n, r, h) in CASES {
+        let mut given = lantern(m, n, r, h);
+        given.face_normals = None;
+        let lantern = measured(&given, NormalSource::Given, Field::Linear);
+        close(lantern.totals.mu1, lantern.totals.mu0 / r, 1e-12, "mu1");
+        assert!(lantern.totals.mu2.abs() < 1e-12);
+        for (f, sums) in lantern.sums(0.3 * r).iter().enumerate().step_by(7) {
+            let c = sums.curvature(lantern.field.of_face[f]).unwrap();
+            close(c.mean, 0.5 / r, 1e-12, "H");
+            assert!(c.gaussian.abs() < 1e-12 / (r * r), "{c:?}");
+        }
     }
 }
 

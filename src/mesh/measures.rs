@@ -192,7 +192,7 @@ fn constant(surface: &MeshSurface, field: &NormalField) -> MeshMeasures {
     }
     let mut centroid_lifts = [0.0; 2];
     for f in (0..surface.faces()).filter(|&f| surface.corners(f).len() > 3) {
-        let k = sweep_spokes(surface, u[f], f, &mut lift);
+        let k = sweep_spokes(surface, u, f, &mut lift);
         centroid_lifts[0] += k;
         centroid_lifts[1] += k.abs();
     }
@@ -222,50 +222,104 @@ fn spherical_polygon(surface: &MeshSurface, u: &[DVec3], umbrella: usize) -> f64
         return 0.0;
     }
     let start = surface.umbrella_from[umbrella] as usize;
-    let normal = |c: usize| u[surface.face_of[c] as usize];
-    let next = |c: usize| surface.across(surface.before(c)).unwrap_or(start);
-    let mut sum = DVec3::ZERO;
+    let mut points = Vec::with_capacity(8);
     let mut at = start;
     loop {
-        sum += normal(at);
-        at = next(at);
-        if at == start {
-            break;
-        }
-    }
-    // Any vector does, up to whole spheres, that is opposite to none; the mean keeps triangles small.
-    let middle = if sum.length() > 1e-6 {
-        sum.normalize()
-    } else {
-        let u = normal(start);
-        (0.3 * u + u.any_orthonormal_vector()).normalize()
-    };
-    let mut area = 0.0;
-    loop {
-        let after = next(at);
-        let (here, there) = (normal(at), normal(after));
-        if here.dot(there) < OPPOSITE {
+        let c = surface.before(at);
+        let across = surface.across(c).unwrap_or(c);
+        let (here, there) = (Turn::new(surface, u, c), Turn::new(surface, u, across));
+        points.push(here.u);
+        if here.u.dot(there.u) < OPPOSITE {
             // No arc is the shortest: by way of the faces, as for the area swept.
-            let c = surface.before(at);
-            let n = surface.side_normal(c);
-            let m = surface.side_normal(surface.across(c).unwrap_or(c));
-            let e = (surface.place(at) - surface.place(c)).normalize_or_zero();
-            // Where these are opposite too the crest is between; elsewhere it would be a detour.
-            let between = if n.dot(m) > FOLDED { m } else { e.cross(n) };
-            for pair in [here, n, between, m, there].windows(2) {
-                area += spherical_triangle(middle, pair[0], pair[1]);
-            }
-        } else {
-            area += spherical_triangle(middle, here, there);
+            points.extend(here.detour);
+            points.push(here.n);
+            points.extend(crest(here.n, there.n, direction(surface, c)));
+            points.push(there.n);
+            points.extend(there.detour);
         }
-        at = after;
+        at = across;
         if at == start {
             break;
         }
     }
+    polygon_area(&points)
+}
+
+/// The area of a closed spherical polygon, in (-2 pi, 2 pi].
+fn polygon_area(points: &[DVec3]) -> f64 {
+    // Triangles from any vector do, up to whole spheres, if it is opposite to none of the points.
+    let least = |v: DVec3| points.iter().fold(1.0f64, |least, p| least.min(v.dot(*p)));
+    let mut middle = points.iter().sum::<DVec3>().normalize_or(DVec3::X);
+    if least(middle) < -0.99 {
+        let axes = [DVec3::X, DVec3::Y, DVec3::Z];
+        for candidate in axes.into_iter().chain(axes.map(|v| -v)) {
+            if least(candidate) > least(middle) {
+                middle = candidate;
+            }
+        }
+    }
+    let last = points.len().saturating_sub(1);
+    let area: f64 = (0..points.len())
+        .map(|i| spherical_triangle(middle, points[i], points[if i == last { 0 } else { i + 1 }]))
+        .sum();
     // Half a sphere stays, and rounding must not decide it.
     let spheres = ((area - 1e-9) / (2.0 * TAU)).round();
     area - 2.0 * TAU * spheres
+}
+
+/// How a triangle's naive normal turns into u.
+struct Turn {
+    n: DVec3,
+    u: DVec3,
+    /// By way of this vector, where they are opposite.
+    detour: Option<DVec3>,
+}
+
+impl Turn {
+    /// In the triangle of half-edge `c`.
+    fn new(surface: &MeshSurface, u: &[DVec3], c: usize) -> Self {
+        let face = surface.face_of[c] as usize;
+        let (n, u) = (surface.side_normal(c), u[face]);
+        let detour = (n.dot(u) < FOLDED).then(|| {
+            // One for the triangle, whichever of its edges is asked.
+            let corners = surface.corners(face);
+            let of = if corners.len() == 3 { corners.start } else { c };
+            direction(surface, of)
+        });
+        Self { n, u, detour }
+    }
+}
+
+/// Unit vector along a half-edge.
+fn direction(surface: &MeshSurface, c: usize) -> DVec3 {
+    (surface.place(surface.after(c)) - surface.place(c)).normalize_or(DVec3::X)
+}
+
+/// Vectors nearer to opposite than this have lost half the digits of the arc between them.
+const FOLDED: f64 = -1.0 + 1e-9;
+
+/// Where a surface folds back on itself, n_g = -n_f, the arc between them runs over this.
+fn crest(n_f: DVec3, n_g: DVec3, e: DVec3) -> Option<DVec3> {
+    (n_f.dot(n_g) < FOLDED).then(|| e.cross(n_f))
+}
+
+/// The area swept from (n_f, n_g) to (u_f, u_g) across an edge along `e` of f's boundary, up to whole spheres.
+fn swept(f: &Turn, g: &Turn, e: DVec3) -> f64 {
+    let crest = crest(f.n, g.n, e);
+    if f.u.dot(g.u) < OPPOSITE {
+        return 0.0;
+    }
+    if crest.is_none() && f.detour.is_none() && g.detour.is_none() {
+        return swept_area(f.n, g.n, f.u, g.u);
+    }
+    let mut points = vec![f.n];
+    points.extend(crest);
+    points.push(g.n);
+    points.extend(g.detour);
+    points.push(g.u);
+    points.push(f.u);
+    points.extend(f.detour);
+    polygon_area(&points)
 }
 
 /// Measures of the edge of a half-edge, and what is swept from its face to the one across.
@@ -273,55 +327,29 @@ fn measure_edge(surface: &MeshSurface, u: &[DVec3], c: usize) -> (EdgeMeasure, f
     let Some(across) = surface.across(c) else {
         return Default::default();
     };
-    let u_f = u[surface.face_of[c] as usize];
-    let u_g = u[surface.face_of[across] as usize];
+    let (f, g) = (Turn::new(surface, u, c), Turn::new(surface, u, across));
     let along = surface.place(surface.after(c)) - surface.place(c);
-    let length = along.length();
     let Some(e) = along.try_normalize() else {
         return Default::default();
     };
-    let (n_f, n_g) = (surface.side_normal(c), surface.side_normal(across));
     let edge = EdgeMeasure {
-        tensor: linel_tensor(u_f, u_g, e, length),
-        omega: along.dot(u_f - u_g),
+        tensor: linel_tensor(f.u, g.u, e, along.length()),
+        omega: along.dot(f.u - g.u),
     };
-    (edge, swept(n_f, n_g, u_f, u_g, e))
-}
-
-/// Naive normals nearer to opposite than this have lost half the digits of the arc between them.
-const FOLDED: f64 = -1.0 + 1e-8;
-
-/// The area swept from (n_f, n_g) to (u_f, u_g) across an edge along `e` of f's boundary. Where the
-/// surface folds back on itself, n_g = -n_f, the arc between them runs over the crest.
-fn swept(n_f: DVec3, n_g: DVec3, u_f: DVec3, u_g: DVec3, e: DVec3) -> f64 {
-    if n_f.dot(n_g) > FOLDED {
-        return swept_area(n_f, n_g, u_f, u_g);
-    }
-    if u_f.dot(u_g) < OPPOSITE {
-        return 0.0;
-    }
-    let crest = e.cross(n_f);
-    spherical_triangle(n_f, crest, u_f)
-        + spherical_triangle(crest, n_g, u_g)
-        + spherical_triangle(crest, u_g, u_f)
+    (edge, swept(&f, &g, e))
 }
 
 /// Takes off what is swept across the edges from the centroid of a polygon to its corners, where u is the
 /// same on both sides; gives the lift k of the centroid.
-fn sweep_spokes(surface: &MeshSurface, u: DVec3, face: usize, lift: &mut [f64]) -> f64 {
+fn sweep_spokes(surface: &MeshSurface, u: &[DVec3], face: usize, lift: &mut [f64]) -> f64 {
     let middle = surface.centroid[face];
     let mut at_middle = TAU;
     for c in surface.corners(face) {
         let last = surface.before(c);
         let spoke = (surface.place(c) - middle).normalize_or_zero();
-        // Seen from the triangle behind, the spoke runs from the corner to the centroid.
-        let swept = swept(
-            surface.side_normal(c),
-            surface.side_normal(last),
-            u,
-            u,
-            spoke,
-        );
+        // A side of the triangle of `c`, which has the spoke from the centroid to the corner.
+        let [first, second] = [c, last].map(|c| Turn::new(surface, u, c));
+        let swept = swept(&first, &second, spoke);
         // At the corner the triangle of `c` comes first, counter-clockwise; at the centroid last.
         lift[surface.umbrella_of[c] as usize] -= swept;
         at_middle += swept;

@@ -42,8 +42,7 @@ enum Command {
         #[arg(long, value_delimiter = ',', default_value = "1,0.5,0.25")]
         gridsteps: Vec<f64>,
     },
-    /// Write a polyhedron of known curvature, with its normals, as an OBJ file
-    #[command(subcommand)]
+    #[command(flatten)]
     Mesh(MeshCommand),
     /// Draw what a run left as a PNG file: its surfels, or one of its slices
     Picture(PictureArgs),

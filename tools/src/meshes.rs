@@ -220,10 +220,10 @@ pub fn globe(radius: f64, around: u32, bands: u32) -> Polyhedron {
     }
 }
 
-/// `curvox-tools mesh`.
+/// The subcommands that write polyhedra, with their normals, as OBJ files.
 #[derive(Subcommand, Clone, Debug)]
 pub enum MeshCommand {
-    /// Schwarz's lantern: m bands of 2 n triangles with their vertices on a cylinder around z
+    /// Write Schwarz's lantern: m bands of 2 n triangles with their vertices on a cylinder around z
     Lantern {
         /// Bands
         #[arg(long, value_parser = clap::value_parser!(u32).range(1..=10_000))]
@@ -245,7 +245,7 @@ pub enum MeshCommand {
         #[command(flatten)]
         output: Output,
     },
-    /// An icosahedron cut finer, on a sphere
+    /// Write an icosahedron cut finer, on a sphere
     Icosphere {
         /// How often each triangle was cut into four
         #[arg(long, value_parser = clap::value_parser!(u32).range(0..=9))]
@@ -257,7 +257,7 @@ pub enum MeshCommand {
         #[command(flatten)]
         output: Output,
     },
-    /// A torus of quadrangles
+    /// Write a torus of quadrangles
     Torus {
         /// Radius of the circle in the middle of the tube
         #[arg(long, default_value_t = 2.0)]
