@@ -539,10 +539,10 @@ pub fn others(study: &Study, results: &Results) -> Result<Section> {
             &POWERS,
         ));
         for (curve, _) in &drawn {
-            if let Some(b) = exponent(&curve.norms(Norm::L2)) {
-                if flattest.as_ref().is_none_or(|(least, _)| b < *least) {
-                    flattest = Some((b, format!("{letter} of {}", curve.name)));
-                }
+            if let Some(b) = exponent(&curve.norms(Norm::L2))
+                && flattest.as_ref().is_none_or(|(least, _)| b < *least)
+            {
+                flattest = Some((b, format!("{letter} of {}", curve.name)));
             }
         }
         let errors = ErrorTable {

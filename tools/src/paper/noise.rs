@@ -7,7 +7,7 @@ use super::drawing::{self, bar, surface};
 use super::page::{self, Section, Table, full, number};
 use super::pictures::of_group;
 use super::plot::{Axis, Line, Panel, svg};
-use super::rows::Rows;
+use super::rows::{Errors, Rows};
 use super::runs::{Estimator, Method, Run};
 use super::slopes::Norm;
 use super::study::{Finished, Results, Study};
@@ -80,7 +80,8 @@ fn pictures(
         .header
         .extend(steps.iter().map(|p| format!("p = {p}")));
     let mut lines: Vec<Vec<String>> = NORMALS.iter().map(|e| vec![e.name().into()]).collect();
-    let mut growth: Vec<Option<[f64; 2]>> = vec![None; NORMALS.len()];
+    let mut clean: [Option<Rows>; 3] = [const { None }; 3];
+    let mut changes: Vec<String> = Vec::new();
     let mut title = String::new();
     if let Some(subject) = subject(study) {
         title = subject.title();
@@ -98,16 +99,22 @@ fn pictures(
                 images.push(surface(study, &rows, colours, &[], |row| {
                     f64::from(found[row])
                 })?);
-                let roughness = finished
-                    .measured
-                    .at
-                    .first()
-                    .map_or(f64::NAN, |at| at.roughness[i]);
-                lines[j].push(number(roughness));
-                let of = growth[j].get_or_insert([roughness; 2]);
-                of[1] = roughness;
+                let change = clean[j].as_ref().map(|clean| {
+                    let before = &clean.batch.curvatures[0];
+                    let before = [&before.mean, &before.gaussian][i];
+                    Errors::of(
+                        rows.common(clean)
+                            .into_iter()
+                            .map(|[now, then]| f64::from((found[now] - before[then]).abs())),
+                    )
+                });
+                lines[j].push(change.map_or("0".into(), |e| number(e.l2)));
+                if let Some(change) = change.filter(|_| Some(&p) == steps.last()) {
+                    changes.push(format!("{} {}", estimator.name(), number(change.l2)));
+                }
                 if p == 0.0 {
                     montage.columns.push(format!("u = {}", estimator.name()));
+                    clean[j] = Some(rows);
                 }
             }
             montage.rows.push((format!("p = {p}"), images));
@@ -118,27 +125,21 @@ fn pictures(
     drawing::write(study, &file, &montage)?;
     page::write(&study.folder, &format!("{file}.csv"), table.csv())?;
     let most = steps.last().copied().unwrap_or(0.0);
-    let grown: Vec<String> = growth
-        .iter()
-        .zip(NORMALS)
-        .filter_map(|(growth, estimator)| {
-            let [clean, noisy] = (*growth)?;
-            Some(format!("{} {:.1} times", estimator.name(), noisy / clean))
-        })
-        .collect();
     Ok(Section {
         title: format!("Figure {figure}: {letter} with noise"),
         paper: "the method depends mostly on the quality of u; VCM normals are relatively accurate but more unstable \
                 than II, II are inaccurate at sharp features."
             .into(),
         finding: format!(
-            "from p = 0 to p = {most} the roughness of {letter} grows: {}.",
-            grown.join(", ")
+            "at p = {most}, {letter} differs from its value without noise, on the surfels that are in both, by {} \
+             (root mean square).",
+            changes.join(", ")
         ),
         body: format!(
             "![{letter} with noise]({file}.png)\n\n*{title}. {} A voxel at distance d of the surface is flipped with \
              probability p^d, rows from p = 0 on, columns by normals; the average of the surface is not in the paper. \
-             Below: roughness of {letter}, the root mean square of differences between surfels that share a linel.* \
+             Below: root mean square of the difference of {letter} from its value without noise, on the surfels \
+             that are in both.* \
              Numbers: [{file}.csv]({file}.csv).\n\n{}\n{}",
             origin(study, Group::Second),
             table.markdown(),
@@ -227,10 +228,11 @@ pub fn errors(study: &Study, results: &Results) -> Result<Section> {
                 }));
                 table.rows.push(row);
                 if norm == Norm::L2 {
-                    if let Some(&(p, last)) = points.last() {
-                        if p == PLOTTED[PLOTTED.len() - 1] && at_most.is_none_or(|b| last < b.0) {
-                            at_most = Some((last, estimator.name()));
-                        }
+                    if let Some(&(p, last)) = points.last()
+                        && p == PLOTTED[PLOTTED.len() - 1]
+                        && at_most.is_none_or(|best| last < best.0)
+                    {
+                        at_most = Some((last, estimator.name()));
                     }
                     lines.push(Line {
                         name: estimator.name().into(),
