@@ -23,6 +23,10 @@ const PLOTTED: [f64; 7] = [0.0, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5];
 /// Choices of normals in the pictures.
 const NORMALS: [Estimator; 3] = [Estimator::Ii, Estimator::Vcm, Estimator::Average];
 
+fn plotted(study: &Study) -> &'static [f64] {
+    if study.quick { &PLOTTED[..4] } else { &PLOTTED }
+}
+
 fn pictured(study: &Study) -> &'static [f64] {
     if study.quick {
         &PICTURED[..3]
@@ -178,12 +182,18 @@ fn plotted_run(study: &Study, estimator: Estimator, p: f64) -> Run {
 /// Errors against noise.
 pub fn error_runs(study: &Study) -> Vec<Run> {
     let all = PLOTTED_ESTIMATORS.into_iter();
-    all.flat_map(|e| PLOTTED.map(|p| plotted_run(study, e, p)))
-        .collect()
+    all.flat_map(|e| {
+        plotted(study)
+            .iter()
+            .map(move |&p| plotted_run(study, e, p))
+    })
+    .collect()
 }
 
 /// See [`error_runs`].
 pub fn errors(study: &Study, results: &Results) -> Result<Section> {
+    let steps = plotted(study);
+    let most = steps.last().copied().unwrap_or(0.0);
     let mut csv = Table::new(&[
         "curvature",
         "estimator",
@@ -196,7 +206,7 @@ pub fn errors(study: &Study, results: &Results) -> Result<Section> {
     let mut table = Table::new(&["curvature", "estimator", "norm"]);
     table
         .header
-        .extend(PLOTTED.iter().map(|p| format!("p = {p}")));
+        .extend(steps.iter().map(|p| format!("p = {p}")));
     let mut panels = Vec::new();
     let mut best = Vec::new();
     let mut specks = 0;
@@ -205,7 +215,7 @@ pub fn errors(study: &Study, results: &Results) -> Result<Section> {
         let mut lines = Vec::new();
         let mut at_most: Option<(f64, &str)> = None;
         for (colour, estimator) in PLOTTED_ESTIMATORS.into_iter().enumerate() {
-            let all: Vec<(f64, &Finished)> = PLOTTED
+            let all: Vec<(f64, &Finished)> = steps
                 .iter()
                 .filter_map(|&p| Some((p, results.find(&plotted_run(study, estimator, p))?)))
                 .collect();
@@ -222,14 +232,14 @@ pub fn errors(study: &Study, results: &Results) -> Result<Section> {
                     .filter_map(|(p, finished)| Some((*p, norm.of(&measured(finished)?))))
                     .collect();
                 let mut row = vec![letter.into(), estimator.name().into(), norm.name().into()];
-                row.extend(PLOTTED.iter().map(|p| {
+                row.extend(steps.iter().map(|p| {
                     let found = points.iter().find(|point| point.0 == *p);
                     number(found.map_or(f64::NAN, |point| point.1))
                 }));
                 table.rows.push(row);
                 if norm == Norm::L2 {
                     if let Some(&(p, last)) = points.last()
-                        && p == PLOTTED[PLOTTED.len() - 1]
+                        && p == most
                         && at_most.is_none_or(|best| last < best.0)
                     {
                         at_most = Some((last, estimator.name()));
@@ -274,11 +284,7 @@ pub fn errors(study: &Study, results: &Results) -> Result<Section> {
     Ok(Section {
         title: "Beyond the paper: errors against noise".into(),
         paper: String::new(),
-        finding: format!(
-            "smallest l2 error at p = {}: {}.",
-            PLOTTED[PLOTTED.len() - 1],
-            best.join(", ")
-        ),
+        finding: format!("smallest l2 error at p = {}: {}.", most, best.join(", ")),
         body: format!(
             "![errors against noise](noise.svg)\n\n*Goursat at h = {}, noise p as above, against the surface without \
              noise, r = rho = 3 h^(1/2), plain II with r' = 6 h^(1/3). Left out: surfels of specks that lie wholly \

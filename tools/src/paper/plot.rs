@@ -127,18 +127,15 @@ impl Scale {
 
 /// 1, 2, 5 in each decade, or 1 alone where there are more decades than `few`.
 fn logarithmic_marks(low: f64, high: f64, few: i32) -> Vec<f64> {
-    let (first, last) = (libm::log10(low).floor(), libm::log10(high).ceil());
-    let decades = (last - first) as i32;
-    let steps: &[f64] = if decades > few {
+    let [first, last] = [low, high].map(libm::log10);
+    let steps: &[f64] = if last - first > f64::from(few) {
         &[1.0]
     } else {
         &[1.0, 2.0, 5.0]
     };
-    (0..=decades.clamp(0, 60))
-        .flat_map(|i| {
-            let decade = 10_f64.powi(first as i32 + i);
-            steps.iter().map(move |step| step * decade)
-        })
+    let decades = first.floor() as i32..=last.ceil() as i32;
+    decades
+        .flat_map(|decade| steps.iter().map(move |step| step * 10_f64.powi(decade)))
         .filter(|mark| (low..=high).contains(mark))
         .collect()
 }
