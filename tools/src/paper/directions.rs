@@ -196,13 +196,22 @@ pub fn section(study: &Study, results: &Results) -> Result<Section> {
     beside
         .header
         .extend(steps.iter().map(|&h| format!("h = {}", gridstep(h))));
-    for (name, quantity) in [("k1", Quantity::K1), ("k2", Quantity::K2)] {
+    for (i, quantity) in [Quantity::K1, Quantity::K2].into_iter().enumerate() {
         for norm in Norm::BOTH {
-            let mut row = vec![format!("{name}: {}", norm.name())];
+            let theirs = |h: f64| dgtal::error(quantity, h, norm).unwrap_or(f64::NAN);
+            let ours = |h: f64| {
+                let finished = results.find(&run(PICTURED, h, Estimator::Ii))?;
+                Some(norm.of(&finished.measured.at.first()?.values?[2 + i]))
+            };
+            let name = format!("k{}: {}", i + 1, norm.name());
+            let mut row = vec![name.clone()];
+            row.extend(steps.iter().map(|&h| number(theirs(h))));
+            beside.rows.push(row);
+            let mut row = vec![format!("{name}, curvox / DGtal")];
             row.extend(
                 steps
                     .iter()
-                    .map(|&h| number(dgtal::error(quantity, h, norm).unwrap_or(f64::NAN))),
+                    .map(|&h| number(ours(h).unwrap_or(f64::NAN) / theirs(h))),
             );
             beside.rows.push(row);
         }

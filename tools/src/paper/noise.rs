@@ -7,7 +7,7 @@ use super::drawing::{self, bar, surface};
 use super::page::{self, Section, Table, full, number};
 use super::pictures::of_group;
 use super::plot::{Axis, Line, Panel, svg};
-use super::rows::Rows;
+use super::rows::{Errors, Rows};
 use super::runs::{Estimator, Method, Run};
 use super::slopes::Norm;
 use super::study::{Finished, Results, Study};
@@ -22,6 +22,10 @@ const PLOTTED: [f64; 7] = [0.0, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5];
 
 /// Choices of normals in the pictures.
 const NORMALS: [Estimator; 3] = [Estimator::Ii, Estimator::Vcm, Estimator::Average];
+
+fn plotted(study: &Study) -> &'static [f64] {
+    if study.quick { &PLOTTED[..4] } else { &PLOTTED }
+}
 
 fn pictured(study: &Study) -> &'static [f64] {
     if study.quick {
@@ -80,7 +84,8 @@ fn pictures(
         .header
         .extend(steps.iter().map(|p| format!("p = {p}")));
     let mut lines: Vec<Vec<String>> = NORMALS.iter().map(|e| vec![e.name().into()]).collect();
-    let mut growth: Vec<Option<[f64; 2]>> = vec![None; NORMALS.len()];
+    let mut clean: [Option<Rows>; 3] = [const { None }; 3];
+    let mut changes: Vec<String> = Vec::new();
     let mut title = String::new();
     if let Some(subject) = subject(study) {
         title = subject.title();
@@ -98,16 +103,22 @@ fn pictures(
                 images.push(surface(study, &rows, colours, &[], |row| {
                     f64::from(found[row])
                 })?);
-                let roughness = finished
-                    .measured
-                    .at
-                    .first()
-                    .map_or(f64::NAN, |at| at.roughness[i]);
-                lines[j].push(number(roughness));
-                let of = growth[j].get_or_insert([roughness; 2]);
-                of[1] = roughness;
+                let change = clean[j].as_ref().map(|clean| {
+                    let before = &clean.batch.curvatures[0];
+                    let before = [&before.mean, &before.gaussian][i];
+                    Errors::of(
+                        rows.common(clean)
+                            .into_iter()
+                            .map(|[now, then]| f64::from((found[now] - before[then]).abs())),
+                    )
+                });
+                lines[j].push(change.map_or("0".into(), |e| number(e.l2)));
+                if let Some(change) = change.filter(|_| Some(&p) == steps.last()) {
+                    changes.push(format!("{} {}", estimator.name(), number(change.l2)));
+                }
                 if p == 0.0 {
                     montage.columns.push(format!("u = {}", estimator.name()));
+                    clean[j] = Some(rows);
                 }
             }
             montage.rows.push((format!("p = {p}"), images));
@@ -118,27 +129,21 @@ fn pictures(
     drawing::write(study, &file, &montage)?;
     page::write(&study.folder, &format!("{file}.csv"), table.csv())?;
     let most = steps.last().copied().unwrap_or(0.0);
-    let grown: Vec<String> = growth
-        .iter()
-        .zip(NORMALS)
-        .filter_map(|(growth, estimator)| {
-            let [clean, noisy] = (*growth)?;
-            Some(format!("{} {:.1} times", estimator.name(), noisy / clean))
-        })
-        .collect();
     Ok(Section {
         title: format!("Figure {figure}: {letter} with noise"),
         paper: "the method depends mostly on the quality of u; VCM normals are relatively accurate but more unstable \
                 than II, II are inaccurate at sharp features."
             .into(),
         finding: format!(
-            "from p = 0 to p = {most} the roughness of {letter} grows: {}.",
-            grown.join(", ")
+            "at p = {most}, {letter} differs from its value without noise, on the surfels that are in both, by {} \
+             (root mean square).",
+            changes.join(", ")
         ),
         body: format!(
             "![{letter} with noise]({file}.png)\n\n*{title}. {} A voxel at distance d of the surface is flipped with \
              probability p^d, rows from p = 0 on, columns by normals; the average of the surface is not in the paper. \
-             Below: roughness of {letter}, the root mean square of differences between surfels that share a linel.* \
+             Below: root mean square of the difference of {letter} from its value without noise, on the surfels \
+             that are in both.* \
              Numbers: [{file}.csv]({file}.csv).\n\n{}\n{}",
             origin(study, Group::Second),
             table.markdown(),
@@ -177,12 +182,18 @@ fn plotted_run(study: &Study, estimator: Estimator, p: f64) -> Run {
 /// Errors against noise.
 pub fn error_runs(study: &Study) -> Vec<Run> {
     let all = PLOTTED_ESTIMATORS.into_iter();
-    all.flat_map(|e| PLOTTED.map(|p| plotted_run(study, e, p)))
-        .collect()
+    all.flat_map(|e| {
+        plotted(study)
+            .iter()
+            .map(move |&p| plotted_run(study, e, p))
+    })
+    .collect()
 }
 
 /// See [`error_runs`].
 pub fn errors(study: &Study, results: &Results) -> Result<Section> {
+    let steps = plotted(study);
+    let most = steps.last().copied().unwrap_or(0.0);
     let mut csv = Table::new(&[
         "curvature",
         "estimator",
@@ -195,7 +206,7 @@ pub fn errors(study: &Study, results: &Results) -> Result<Section> {
     let mut table = Table::new(&["curvature", "estimator", "norm"]);
     table
         .header
-        .extend(PLOTTED.iter().map(|p| format!("p = {p}")));
+        .extend(steps.iter().map(|p| format!("p = {p}")));
     let mut panels = Vec::new();
     let mut best = Vec::new();
     let mut specks = 0;
@@ -204,7 +215,7 @@ pub fn errors(study: &Study, results: &Results) -> Result<Section> {
         let mut lines = Vec::new();
         let mut at_most: Option<(f64, &str)> = None;
         for (colour, estimator) in PLOTTED_ESTIMATORS.into_iter().enumerate() {
-            let all: Vec<(f64, &Finished)> = PLOTTED
+            let all: Vec<(f64, &Finished)> = steps
                 .iter()
                 .filter_map(|&p| Some((p, results.find(&plotted_run(study, estimator, p))?)))
                 .collect();
@@ -221,16 +232,17 @@ pub fn errors(study: &Study, results: &Results) -> Result<Section> {
                     .filter_map(|(p, finished)| Some((*p, norm.of(&measured(finished)?))))
                     .collect();
                 let mut row = vec![letter.into(), estimator.name().into(), norm.name().into()];
-                row.extend(PLOTTED.iter().map(|p| {
+                row.extend(steps.iter().map(|p| {
                     let found = points.iter().find(|point| point.0 == *p);
                     number(found.map_or(f64::NAN, |point| point.1))
                 }));
                 table.rows.push(row);
                 if norm == Norm::L2 {
-                    if let Some(&(p, last)) = points.last() {
-                        if p == PLOTTED[PLOTTED.len() - 1] && at_most.is_none_or(|b| last < b.0) {
-                            at_most = Some((last, estimator.name()));
-                        }
+                    if let Some(&(p, last)) = points.last()
+                        && p == most
+                        && at_most.is_none_or(|best| last < best.0)
+                    {
+                        at_most = Some((last, estimator.name()));
                     }
                     lines.push(Line {
                         name: estimator.name().into(),
@@ -272,11 +284,7 @@ pub fn errors(study: &Study, results: &Results) -> Result<Section> {
     Ok(Section {
         title: "Beyond the paper: errors against noise".into(),
         paper: String::new(),
-        finding: format!(
-            "smallest l2 error at p = {}: {}.",
-            PLOTTED[PLOTTED.len() - 1],
-            best.join(", ")
-        ),
+        finding: format!("smallest l2 error at p = {}: {}.", most, best.join(", ")),
         body: format!(
             "![errors against noise](noise.svg)\n\n*Goursat at h = {}, noise p as above, against the surface without \
              noise, r = rho = 3 h^(1/2), plain II with r' = 6 h^(1/3). Left out: surfels of specks that lie wholly \

@@ -11,6 +11,8 @@ use plotters::coord::Shift;
 use plotters::coord::ranged1d::{KeyPointHint, NoDefaultFormatting, ValueFormatter};
 use plotters::prelude::*;
 
+use super::page;
+
 /// After Okabe and Ito: blue, vermilion, green, purple, orange, sky, then black for references.
 const COLOURS: [RGBColor; 7] = [
     RGBColor(0, 114, 178),
@@ -22,7 +24,7 @@ const COLOURS: [RGBColor; 7] = [
     RGBColor(60, 60, 60),
 ];
 
-/// The colour of lines to compare slopes with.
+/// The colour of lines to compare slopes with, whose names are written at their first points.
 pub const REFERENCE: usize = 6;
 
 const PANEL: [u32; 2] = [620, 560];
@@ -80,7 +82,7 @@ struct Scale {
 }
 
 impl Scale {
-    fn of(values: impl Iterator<Item = f64>, axis: Axis) -> Self {
+    fn of(values: impl Iterator<Item = f64>, axis: Axis, few: i32) -> Self {
         let logarithmic = axis != Axis::Linear;
         let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
         for value in values.filter(|v| v.is_finite()) {
@@ -97,8 +99,9 @@ impl Scale {
             let room = (0.04 * (high - low)).max(1e-9);
             (low, high) = (low - room, high + room);
         }
+        // Numbers below an axis take more room than beside it.
         let marks = match axis {
-            Axis::Logarithmic => logarithmic_marks(low, high),
+            Axis::Logarithmic => logarithmic_marks(low, high, few),
             Axis::Gridstep => (-30..=30)
                 .map(|i| 2_f64.powi(i))
                 .filter(|mark| (low..=high).contains(mark))
@@ -122,20 +125,17 @@ impl Scale {
     }
 }
 
-/// 1, 2, 5 in each decade, or 1 alone where there are many decades.
-fn logarithmic_marks(low: f64, high: f64) -> Vec<f64> {
-    let (first, last) = (libm::log10(low).floor(), libm::log10(high).ceil());
-    let decades = (last - first) as i32;
-    let steps: &[f64] = if decades > 4 {
+/// 1, 2, 5 in each decade, or 1 alone where there are more decades than `few`.
+fn logarithmic_marks(low: f64, high: f64, few: i32) -> Vec<f64> {
+    let [first, last] = [low, high].map(libm::log10);
+    let steps: &[f64] = if last - first > f64::from(few) {
         &[1.0]
     } else {
         &[1.0, 2.0, 5.0]
     };
-    (0..=decades.clamp(0, 60))
-        .flat_map(|i| {
-            let decade = 10_f64.powi(first as i32 + i);
-            steps.iter().map(move |step| step * decade)
-        })
+    let decades = first.floor() as i32..=last.ceil() as i32;
+    decades
+        .flat_map(|decade| steps.iter().map(move |step| step * 10_f64.powi(decade)))
         .filter(|mark| (low..=high).contains(mark))
         .collect()
 }
@@ -236,8 +236,8 @@ fn draw_panel(area: &Area, panel: &Panel) -> Result<()> {
         .map(|line| (line, line.points.iter().copied().filter(is_shown).collect()))
         .collect();
     let all = || shown.iter().flat_map(|(_, points)| points.iter().copied());
-    let x = Scale::of(all().map(|p| p.0), panel.x_axis);
-    let y = Scale::of(all().map(|p| p.1), Axis::Logarithmic);
+    let x = Scale::of(all().map(|p| p.0), panel.x_axis, 2);
+    let y = Scale::of(all().map(|p| p.1), Axis::Logarithmic, 3);
     let mut chart = ChartBuilder::on(area)
         .caption(&panel.title, (FONT, 24))
         .margin(12)
@@ -256,6 +256,13 @@ fn draw_panel(area: &Area, panel: &Panel) -> Result<()> {
         .draw()
         .map_err(drawing)?;
     for (line, points) in shown {
+        if let (REFERENCE, Some(&end)) = (line.colour, points.first()) {
+            let place = EmptyElement::at(end);
+            let name = Text::new(line.name.clone(), (8, -24), (FONT, 17));
+            chart
+                .draw_series(std::iter::once(place + name))
+                .map_err(drawing)?;
+        }
         if line.dashed {
             let dashes = DashedLineSeries::new(points, 9, 7, style(line));
             chart.draw_series(dashes).map_err(drawing)?;
@@ -280,7 +287,9 @@ fn draw_legend(area: &Area, panels: &[Panel]) -> Result<()> {
                 && other.thick == line.thick
                 && other.dashed == line.dashed
         };
-        if !seen.iter().any(is_same) {
+        // Powers have their names beside them.
+        let is_told = line.colour == REFERENCE || line.points.is_empty();
+        if !is_told && !seen.iter().any(is_same) {
             seen.push(line);
         }
     }
@@ -386,7 +395,7 @@ fn draw_map(area: &Area, map: &HeatMap, low: f64, high: f64) -> Result<()> {
             area.draw(&Rectangle::new(cell, colour.filled()))
                 .map_err(drawing)?;
             let ink = if share > 0.55 { WHITE } else { BLACK };
-            write(&mark_text(*value), (x + 8, y + 13), 15, &ink)?;
+            write(&page::number(*value), (x + 8, y + 13), 15, &ink)?;
         }
     }
     for (column, name) in map.x.1.iter().enumerate() {
@@ -465,7 +474,7 @@ mod tests {
 
     #[test]
     fn marks_are_round_numbers_within_the_axis() {
-        assert_eq!(logarithmic_marks(0.04, 1.1), [0.05, 0.1, 0.2, 0.5, 1.0]);
+        assert_eq!(logarithmic_marks(0.04, 1.1, 2), [0.05, 0.1, 0.2, 0.5, 1.0]);
         assert_eq!(linear_marks(0.9, 4.1), [1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0]);
         assert_eq!(mark_text(0.1 + 0.2), "0.3");
         assert_eq!(mark_text(2e-5), "2e-5");
@@ -473,7 +482,7 @@ mod tests {
 
     #[test]
     fn gridsteps_are_marked_by_halves_fine_ones_to_the_left() {
-        let scale = Scale::of([0.125, 1.0].into_iter(), Axis::Gridstep);
+        let scale = Scale::of([0.125, 1.0].into_iter(), Axis::Gridstep, 2);
         assert_eq!(scale.marks, [0.125, 0.25, 0.5, 1.0]);
         assert!(scale.share(0.125) < scale.share(1.0));
     }

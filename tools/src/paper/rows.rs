@@ -99,6 +99,29 @@ impl Rows {
             .collect()
     }
 
+    /// The surfels that another table of the same grid has too, of the same side: rows here and there.
+    pub fn common(&self, other: &Rows) -> Vec<[usize; 2]> {
+        let order = |rows: &Rows, row: usize| {
+            let [x, y, z] = rows.batch.k_at(row);
+            (z, y, x, rows.batch.side[row])
+        };
+        // Tables are in the order of (kz, ky, kx).
+        let mut common = Vec::new();
+        let (mut here, mut there) = (0, 0);
+        while here < self.len() && there < other.len() {
+            match order(self, here).cmp(&order(other, there)) {
+                std::cmp::Ordering::Less => here += 1,
+                std::cmp::Ordering::Greater => there += 1,
+                std::cmp::Ordering::Equal => {
+                    common.push([here, there]);
+                    here += 1;
+                    there += 1;
+                }
+            }
+        }
+        common
+    }
+
     /// The largest difference |u_i - u_j| of the normals of neighbours: the delta_u of section 5.
     pub fn normal_jump(&self, neighbours: &[[u32; 2]]) -> f64 {
         neighbours
@@ -409,6 +432,25 @@ mod tests {
         let measured = Measured::of(&rows, Some(&truth)).unwrap();
         assert_eq!(measured.left_out, 2);
         assert!(measured.at[0].values.unwrap()[0].linf < 1e-9);
+    }
+
+    #[test]
+    fn tables_share_the_surfels_of_one_place_and_side() {
+        let mut rows = one_voxel();
+        // In the order of tables.
+        let order = [4, 2, 0, 1, 3, 5];
+        let all = rows.batch.clone();
+        rows.batch = SurfelBatch::with_capacity(&rows.info, 6);
+        for row in order {
+            rows.batch.extend_from(&all, row..row + 1);
+        }
+        let mut other = Rows {
+            info: rows.info.clone(),
+            batch: SurfelBatch::with_capacity(&rows.info, 5),
+        };
+        other.batch.extend_from(&rows.batch, 1..6);
+        other.batch.side[2] = -other.batch.side[2];
+        assert_eq!(rows.common(&other), [[1, 0], [2, 1], [4, 3], [5, 4]]);
     }
 
     #[test]

@@ -1,12 +1,14 @@
 //! What is asked, and what the runs gave.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::time::Instant;
 
 use anyhow::{Context, Result};
 
+use super::page::gridstep;
 use super::rows::{Measured, Rows, Truth, truth};
 use super::runs::{Outcome, Record, Run, Runner};
 
@@ -81,18 +83,30 @@ impl Results {
         self.refused.get(&run.command_line()).map(String::as_str)
     }
 
-    /// Those of the runs that were refused, with the reasons, as a list of Markdown.
+    /// Those of the runs that were refused, by estimator and reason, as a list of Markdown.
     pub fn refusals(&self, runs: &[Run]) -> String {
-        let lines = runs.iter().filter_map(|run| {
-            let reason = self.refusal(run)?;
-            Some(format!("- not run: {}: {reason}\n", run.label()))
-        });
-        let mut lines: Vec<String> = lines.collect();
-        lines.dedup();
-        if lines.is_empty() {
-            return String::new();
+        let mut groups: BTreeMap<(&str, &str), Vec<f64>> = BTreeMap::new();
+        for run in runs {
+            if let Some(reason) = self.refusal(run) {
+                let key = (run.method.estimator.name(), reason);
+                groups.entry(key).or_default().push(run.gridstep);
+            }
         }
-        format!("{}\n", lines.concat())
+        let mut text = String::new();
+        for ((estimator, reason), mut steps) in groups {
+            steps.sort_unstable_by(|a, b| b.total_cmp(a));
+            steps.dedup();
+            let steps: Vec<String> = steps.into_iter().map(gridstep).collect();
+            let _ = writeln!(
+                text,
+                "- Not run: {estimator} at h = {}: curvox says: {reason}",
+                steps.join(", ")
+            );
+        }
+        if !text.is_empty() {
+            text.push('\n');
+        }
+        text
     }
 
     /// Runs that gave a table.

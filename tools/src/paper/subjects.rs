@@ -52,7 +52,7 @@ impl Subject {
         }
         let (spec, closed) = INSTEAD[usize::from(group == Group::Second)];
         // The paper's volumes have two resolutions, each half of the other.
-        let fine = study.finest.max(0.125);
+        let fine = study.finest.max(if study.quick { 0.5 } else { 0.125 });
         [(2.0 * fine).min(1.0), fine]
             .map(|gridstep| Subject {
                 solid: Solid::Shape(spec.to_owned()),

@@ -151,11 +151,15 @@ pub fn section(study: &Study, results: &Results) -> Result<Section> {
     page::write(&study.folder, "figure19.csv", csv.csv())?;
 
     let [corrected, _, plain_ii, dgtal_corrected, _] = &timed;
+    let grows = |t: &Timed| match t.growth() {
+        Some(b) => format!("like surfels^{b:.2}"),
+        None => "unknown (not run)".into(),
+    };
     let mut finding = vec![format!(
-        "time of corrected measures grows like surfels^{} (DGtal: {}), of plain II like surfels^{}",
-        slope(corrected.growth()),
-        slope(dgtal_corrected.growth()),
-        slope(plain_ii.growth())
+        "growth of time with corrected measures {} (DGtal: {}), with plain II {}",
+        grows(corrected),
+        grows(dgtal_corrected),
+        grows(plain_ii)
     )];
     // At the finest gridstep that both have.
     let common = corrected.points.iter().rev().find_map(|p| {
@@ -170,17 +174,17 @@ pub fn section(study: &Study, results: &Results) -> Result<Section> {
         ));
     }
     // What plain II reaches at its finest.
-    if let Some(&[_, _, seconds, error]) = plain_ii.points.last() {
-        if let Some((time, beyond)) = corrected.time_for(error) {
-            finding.push(format!(
-                "for an l2 error of {}, where plain II takes {} s, corrected measures take {} s{}: {} times less",
-                number(error),
-                number(seconds),
-                number(time),
-                if beyond { " (extrapolated)" } else { "" },
-                number(seconds / time)
-            ));
-        }
+    if let Some(&[_, _, seconds, error]) = plain_ii.points.last()
+        && let Some((time, beyond)) = corrected.time_for(error)
+    {
+        finding.push(format!(
+            "for an l2 error of {}, where plain II takes {} s, corrected measures take {} s{}: {} times less",
+            number(error),
+            number(seconds),
+            number(time),
+            if beyond { " (extrapolated)" } else { "" },
+            number(seconds / time)
+        ));
     }
     let target = 0.0065;
     if let (Some((plain_time, _)), Some((time, _))) =

@@ -40,7 +40,8 @@ impl Montage {
         let bars = if self.bars.is_empty() {
             0
         } else {
-            bar::height(bar_width)
+            // The frame of a bar reaches a little above it.
+            bar::height(bar_width) + LINE / 2
         };
         let mut whole = Image::white([width, LINE + rows + bars]);
         for (i, title) in self.columns.iter().enumerate() {
