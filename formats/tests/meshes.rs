@@ -409,6 +409,15 @@ fn claims_of_billions_are_not_believed() {
     }
 }
 
+#[test]
+fn an_endless_input_is_not_held_in_memory() {
+    for format in [None, Some(MeshFormat::Stl), Some(MeshFormat::Obj)] {
+        let (found, peak) = peak_bytes(|| read_mesh(Box::new(std::io::repeat(0)), "zeros", format));
+        assert!(found.is_err());
+        assert!(peak < 64 << 20, "{peak}");
+    }
+}
+
 fn config() -> ProptestConfig {
     ProptestConfig {
         cases: ProptestConfig::default().cases.max(600),

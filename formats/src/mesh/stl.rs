@@ -1,6 +1,6 @@
 //! STL: loose triangles with a normal each, as text or binary.
 //!
-//! In: a whole file. Out: a mesh of triangles; corners at exactly the same place are one vertex.
+//! In: a file. Out: a mesh of triangles; corners at exactly the same place are one vertex.
 //! Binary or text is decided by content: a length that fits the binary header says binary,
 //! also where that header begins with `solid`. Several solids in a text file are one mesh.
 //! A facet normal of zero is one that is not given. Attributes and colours are ignored.
@@ -23,51 +23,67 @@ pub(super) fn begins_solid(head: &[u8]) -> bool {
 }
 
 pub(super) fn read(input: &mut Input, name: &str) -> Result<Mesh, Error> {
+    let head = input
+        .peek(HEADER_BYTES)
+        .map_err(|e| read_error(name, 0, e))?;
+    let solid = begins_solid(head);
     let mut bytes = Vec::new();
-    input
-        .append(u64::MAX, &mut bytes)
-        .map_err(|e| read_error(name, input.position(), e))?;
-    let claimed = (bytes.len() >= HEADER_BYTES).then(|| {
-        let count = u32::from_le_bytes([bytes[80], bytes[81], bytes[82], bytes[83]]);
-        (
-            count,
-            HEADER_BYTES as u64 + FACET_BYTES as u64 * u64::from(count),
-        )
-    });
-    let fits = claimed.is_some_and(|(_, length)| length == bytes.len() as u64);
-    let mut mesh = if !fits && begins_solid(&bytes) {
+    let append = |input: &mut Input, count: u64, bytes: &mut Vec<u8>| {
+        let read = input.append(count, bytes);
+        read.map_err(|e| read_error(name, input.position(), e))
+    };
+    if solid {
+        append(input, u64::MAX, &mut bytes)?;
+    } else {
+        // No more than the header claims, or an endless input would be held in memory.
+        append(input, HEADER_BYTES as u64, &mut bytes)?;
+        if let Some((_, length)) = claimed(&bytes) {
+            append(input, length - HEADER_BYTES as u64, &mut bytes)?;
+        }
+    }
+    let found = bytes.len() as u64;
+    let fits = claimed(&bytes).is_some_and(|(_, length)| length == found);
+    let mut mesh = if solid && !fits {
         read_text(&bytes, name)?
     } else {
-        let Some((count, length)) = claimed else {
+        let Some((count, length)) = claimed(&bytes) else {
             return Err(Error::invalid(
                 name,
                 format!(
-                    "{} bytes found; a binary STL begins with {HEADER_BYTES}, a text one with 'solid'",
-                    bytes.len()
+                    "{found} bytes found; a binary STL begins with {HEADER_BYTES}, a text one with 'solid'"
                 ),
             ));
         };
-        if length > bytes.len() as u64 {
+        if length > found {
             return Err(Error::invalid(
                 name,
                 format!(
-                    "the header claims {count} triangles in {length} bytes, {} bytes found",
-                    bytes.len()
+                    "the header claims {count} triangles in {length} bytes, {found} bytes found"
                 ),
             )
             .at(80));
         }
-        let mut mesh = read_binary(&bytes[HEADER_BYTES..length as usize], name)?;
-        if length < bytes.len() as u64 {
+        let mut mesh = read_binary(&bytes[HEADER_BYTES..], name)?;
+        let more = input.peek(1).map_err(|e| read_error(name, length, e))?;
+        if !more.is_empty() {
             mesh.warnings.push(format!(
-                "{} bytes follow the {count} triangles; they are ignored",
-                bytes.len() as u64 - length
+                "bytes follow the {count} triangles at byte {length}; they are ignored"
             ));
         }
         mesh
     };
     mesh.merge_equal_vertices();
     Ok(mesh)
+}
+
+/// The number of triangles in a binary header, and the bytes of the file that follow from it.
+fn claimed(bytes: &[u8]) -> Option<(u32, u64)> {
+    let count = bytes.get(80..HEADER_BYTES)?;
+    let count = u32::from_le_bytes([count[0], count[1], count[2], count[3]]);
+    Some((
+        count,
+        HEADER_BYTES as u64 + FACET_BYTES as u64 * u64::from(count),
+    ))
 }
 
 /// Adds a triangle whose corners are vertices of its own.
