@@ -82,7 +82,7 @@ fn every_figure_has_its_files_and_the_page_shows_them() {
     }
     // One for each figure, one more for figure 10, and those beyond the paper.
     assert_eq!(pictures, 16 + 1 + 2);
-    for unknown in ["NaN", "| inf", "-inf"] {
+    for unknown in ["NaN", "| inf |", "| -inf |"] {
         assert!(!page.contains(unknown), "{unknown}: {page}");
     }
 }

@@ -120,7 +120,8 @@ const FIGURES: &[Figure] = &[
 /// Options of `paper`.
 #[derive(Args, Clone, Debug)]
 pub struct PaperArgs {
-    /// The folder for the page, the figures and the runs; runs already there are not repeated
+    /// The folder for the page, the figures and the runs; runs already there are not repeated (DIR/runs
+    /// takes gigabytes for fine gridsteps, and may be removed)
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
 

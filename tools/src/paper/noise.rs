@@ -112,9 +112,16 @@ fn pictures(
                             .map(|[now, then]| f64::from((found[now] - before[then]).abs())),
                     )
                 });
-                lines[j].push(change.map_or("0".into(), |e| number(e.l2)));
+                lines[j].push(change.map_or("0".into(), |e| {
+                    format!("{} ({})", number(e.median), number(e.l2))
+                }));
                 if let Some(change) = change.filter(|_| Some(&p) == steps.last()) {
-                    changes.push(format!("{} {}", estimator.name(), number(change.l2)));
+                    changes.push(format!(
+                        "{} {} ({})",
+                        estimator.name(),
+                        number(change.median),
+                        number(change.l2)
+                    ));
                 }
                 if p == 0.0 {
                     montage.columns.push(format!("u = {}", estimator.name()));
@@ -136,14 +143,14 @@ fn pictures(
             .into(),
         finding: format!(
             "at p = {most}, {letter} differs from its value without noise, on the surfels that are in both, by {} \
-             (root mean square).",
+             (median, and root mean square).",
             changes.join(", ")
         ),
         body: format!(
             "![{letter} with noise]({file}.png)\n\n*{title}. {} A voxel at distance d of the surface is flipped with \
              probability p^d, rows from p = 0 on, columns by normals; the average of the surface is not in the paper. \
-             Below: root mean square of the difference of {letter} from its value without noise, on the surfels \
-             that are in both.* \
+             Below: median, and root mean square, of the difference of {letter} from its value without noise, \
+             on the surfels that are in both.* \
              Numbers: [{file}.csv]({file}.csv).\n\n{}\n{}",
             origin(study, Group::Second),
             table.markdown(),

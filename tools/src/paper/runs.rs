@@ -145,7 +145,8 @@ impl Method {
         }
         let radii: Vec<_> = self.radii.iter().map(|r| format!("{r}vx")).collect();
         options.extend(["--radius".into(), radii.join(",")]);
-        if self.estimator != Estimator::PlainIi {
+        // They would double the tables of many radii, where nobody asks for them.
+        if self.estimator != Estimator::PlainIi && self.radii.len() == 1 {
             options.push("--directions".into());
         }
         options
