@@ -282,18 +282,22 @@ impl Plan {
         };
         let base = fixed_bytes.saturating_add(read_bytes);
         let left = request.memory_bytes.saturating_sub(base);
-        // Bits may take up to 3/8 and scratch up to 1/4; the rest is for surfels.
+        let is_wide = normal_reach.into_iter().max() > Some(WIDE_REACH);
+        // Bits may take up to 3/8 and scratch up to 1/4, or what bits leave of both where wide bricks
+        // save much work; the rest is for surfels.
         let fits = |edge: i32, slab: i32| {
-            bits_bytes(edge, slab) <= left / 8 * 3 && scratch_bytes(edge, slab) <= left / 4
+            let (bits, scratch) = (bits_bytes(edge, slab), scratch_bytes(edge, slab));
+            let for_scratch = if is_wide {
+                (left / 8 * 5).saturating_sub(bits)
+            } else {
+                left / 4
+            };
+            bits <= left / 8 * 3 && scratch <= for_scratch
         };
         const HEIGHTS: [i32; 14] = [128, 96, 64, 48, 32, 24, 16, 12, 8, 6, 4, 3, 2, 1];
         const EDGES: [i32; 7] = [128, 96, 64, 48, 32, 24, 16];
         // Work done again in rims as wide as a brick would be most of the work.
-        let small = if normal_reach.into_iter().max() > Some(WIDE_REACH) {
-            0
-        } else {
-            2
-        };
+        let small = if is_wide { 0 } else { 2 };
         let edges: &[i32] = match request.brick {
             Some(ref edge) => std::slice::from_ref(edge),
             None => &EDGES[small..],
