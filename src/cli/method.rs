@@ -364,7 +364,7 @@ impl MethodArgs {
             }
         });
         let normal_length = self.normal_radius.as_ref().unwrap_or(&asked[smallest]);
-        let normal_radius = if !matches!(normals, Normals::Ii | Normals::Average) {
+        let normal_radius = if !matches!(normals, Normals::Ii | Normals::Vcm | Normals::Average) {
             if self.normal_radius.is_some() {
                 return Err(usage(format!(
                     "--normal-radius has no use with --normals {}",

@@ -319,24 +319,25 @@ impl Plan {
         };
         let base = fixed_bytes.saturating_add(read_bytes);
         let left = request.memory_bytes.saturating_sub(base);
+        let is_wide = normal_reach.into_iter().max() > Some(WIDE_REACH);
         // Grey values come first. They are large, so a slab is only higher than one plane if they
-        // leave 3/4. Of the rest bits may take up to 3/8 and scratch up to 1/4; what then is left is
-        // for surfels.
+        // leave 3/4. Of the rest bits may take up to 3/8 and scratch up to 1/4, or what bits leave of
+        // both where wide bricks save much work; what then is left is for surfels.
         let fits = |edge: i32, slab: i32| {
             let grey = grey_bytes(slab);
             let rest = left.saturating_sub(grey);
-            (slab == 1 || grey <= left / 4)
-                && bits_bytes(edge, slab) <= rest / 8 * 3
-                && scratch_bytes(edge, slab) <= rest / 4
+            let (bits, scratch) = (bits_bytes(edge, slab), scratch_bytes(edge, slab));
+            let for_scratch = if is_wide {
+                (rest / 8 * 5).saturating_sub(bits)
+            } else {
+                rest / 4
+            };
+            (slab == 1 || grey <= left / 4) && bits <= rest / 8 * 3 && scratch <= for_scratch
         };
         const HEIGHTS: [i32; 14] = [128, 96, 64, 48, 32, 24, 16, 12, 8, 6, 4, 3, 2, 1];
         const EDGES: [i32; 7] = [128, 96, 64, 48, 32, 24, 16];
         // Work done again in rims as wide as a brick would be most of the work.
-        let small = if normal_reach.into_iter().max() > Some(WIDE_REACH) {
-            0
-        } else {
-            2
-        };
+        let small = if is_wide { 0 } else { 2 };
         let edges: &[i32] = match request.brick {
             Some(ref edge) => std::slice::from_ref(edge),
             None => &EDGES[small..],

@@ -213,8 +213,8 @@ impl VcmKernel {
         );
         let volume =
             |more: [i32; 3]| -> f64 { (0..3).map(|a| f64::from(core[a] + 1 + more[a])).product() };
+        let own = volume([0; 3]);
         let hats = volume(hat.map(|r| 2 * r));
-        let surfels = 1.6 * volume(side.map(|r| 2 * r));
         let voxels = volume([0, 1, 2].map(|a| 2 * hat[a] + 4 * offset[a] + 1));
         // points along x and y, sites along z
         let slacks = volume([
@@ -227,8 +227,11 @@ impl VcmKernel {
         } else {
             4.0
         };
-        // bits, sites and ranks; slacks; a matrix a site, a sum, a normal a pointel
-        (voxels * 0.4 + slacks * word + hats * 56.0 + surfels * 100.0) as u64
+        // Bits, sites and ranks are held throughout; first slacks and a matrix a site, with the
+        // numbers of the pointels of each surfel; then eigenvectors a pointel, sides and normals.
+        let first = slacks * word + hats * 48.0 + own * 50.0;
+        let then = own * 240.0 + volume(side.map(|r| 2 * r)) * 80.0;
+        (voxels * 0.4 + first.max(then)) as u64
     }
 
     /// Matrices in voxel units.
@@ -279,13 +282,12 @@ impl VcmKernel {
         if count == 0 {
             return normals;
         }
-        let of_surfel: Vec<[[i32; 3]; 4]> =
-            (0..count).map(|i| corners(surfels.khalimsky(i))).collect();
+        let pointels_of = |i: usize| corners(surfels.khalimsky(i));
         let mut own = CellBox {
             lo: [i32::MAX; 3],
             hi: [i32::MIN; 3],
         };
-        for p in of_surfel.iter().flatten() {
+        for p in (0..count).flat_map(pointels_of) {
             for a in 0..3 {
                 own.lo[a] = own.lo[a].min(p[a]);
                 own.hi[a] = own.hi[a].max(p[a] + 1);
@@ -304,10 +306,9 @@ impl VcmKernel {
         let wanted = Sites::find(&bits, near, lattice);
         let mut order: Vec<[i32; 3]> = Vec::new();
         let mut slots = vec![u32::MAX; wanted.len()];
-        let slots_of: Vec<[u32; 4]> = of_surfel
-            .iter()
-            .map(|corners| {
-                corners.map(|p| {
+        let slots_of: Vec<[u32; 4]> = (0..count)
+            .map(|i| {
+                pointels_of(i).map(|p| {
                     let slot = &mut slots[wanted.number(p)];
                     if *slot == u32::MAX {
                         *slot = order.len() as u32;
@@ -344,7 +345,7 @@ impl VcmKernel {
             normals.degenerate.push(degenerate);
             normals.u.push(if degenerate { n } else { sum.normalize() });
             normals.cut.push(border.as_ref().is_some_and(|border| {
-                let [corner, .., last] = of_surfel[i];
+                let [corner, .., last] = pointels_of(i);
                 let lo = [0, 1, 2].map(|a| corner[a] - reach[a]);
                 let hi = [0, 1, 2].map(|a| last[a] + reach[a]);
                 touches_border(surfel, lattice) || border.is_met(lo, hi)
