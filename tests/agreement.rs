@@ -40,7 +40,10 @@ fn plainly(settings: &Settings) -> plain::Settings {
             } => plain::Estimator::VoronoiCovariance {
                 voronoi_radius_world: voronoi_radius * unit,
                 radius_world: radius * unit,
-                ties: plain::Ties::Shared,
+                ties: match side {
+                    Side::Surface => plain::Ties::Shared,
+                    Side::Dgtal => plain::Ties::Last,
+                },
                 orientation: match side {
                     Side::Surface => plain::Orientation::Surface,
                     Side::Dgtal => plain::Orientation::Dgtal,

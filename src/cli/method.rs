@@ -68,6 +68,9 @@ pub(crate) struct MethodArgs {
     normals_from: Option<PathBuf>,
 
     /// Which way normals point: moment (ii: away from the solid), surface (vcm: as the surface around), dgtal (DGtal's rule for either) [default: moment or surface]
+    ///
+    /// dgtal reverses some ii normals where the surfel is nearly orthogonal to the surface; for vcm it also gives a
+    /// point between several pointels to the last of them instead of to all.
     #[arg(
         long,
         value_enum,

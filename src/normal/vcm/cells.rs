@@ -9,7 +9,8 @@
 //! ```
 //!
 //! and v lies in an interval, a single number nearly everywhere. Where it is not, p may have several
-//! nearest sites: the candidates of norm D that are sites. Each has an equal share of p.
+//! nearest sites: the candidates of norm D that are sites. Each has an equal share of p, or the last
+//! of them has all of it ([`Ties`]).
 
 use crate::lattice::Ball;
 use crate::surfel::CellBox;
@@ -30,6 +31,15 @@ pub(super) fn shift(ball: &Ball) -> u32 {
     (62 - bound.log2().ceil() as i32).clamp(0, 44) as u32
 }
 
+/// Whose a point with several nearest sites is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Ties {
+    /// Equally of all.
+    Shared,
+    /// Of the last in the order of z, y, x.
+    Last,
+}
+
 /// The cells of the sites `wanted`, whose points are looked for in `points`; `sites` are all that
 /// may be nearest.
 pub(super) struct Cells<'a> {
@@ -37,6 +47,7 @@ pub(super) struct Cells<'a> {
     pub(super) wanted: &'a Sites,
     pub(super) points: CellBox,
     pub(super) ball: &'a Ball,
+    pub(super) ties: Ties,
 }
 
 impl Cells<'_> {
@@ -91,6 +102,12 @@ impl Cells<'_> {
                         continue;
                     }
                     self.candidates(p, full - slack, [x, y, z], &mut nearest);
+                    if self.ties == Ties::Last {
+                        if let Some(&last) = nearest.iter().max_by_key(|v| [v[2], v[1], v[0]]) {
+                            self.add(&mut sums, p, last, one);
+                        }
+                        continue;
+                    }
                     let count = nearest.len() as i64;
                     for &v in &nearest {
                         self.add(&mut sums, p, v, (one + count / 2) / count);

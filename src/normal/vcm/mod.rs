@@ -15,7 +15,8 @@
 //!
 //! Lattice points are those of the pointels, inside the image and beyond it. A point with several
 //! nearest sites is shared equally between them, so that mirrored and rotated volumes have
-//! mirrored and rotated normals (DGtal gives it to the last in the order of z, y, x). Lengths are
+//! mirrored and rotated normals; with [`Side::Dgtal`] it is the last one's in the order of z, y, x, as
+//! in DGtal. Lengths are
 //! true lengths of box voxels, membership is decided in integers ([`crate::lattice::Metric`]).
 //!
 //! **Which side.** A covariance gives a line. With [`Side::Surface`] the surface average
@@ -49,7 +50,7 @@ use super::integral::SAME_EIGENVALUE;
 use super::{Normals, touches_border, trivial_normal};
 
 use border::Border;
-use cells::{Cells, Covariance};
+use cells::{Cells, Covariance, Ties};
 use sites::Sites;
 
 /// Radius of the part of the surface that decides on which side u points, in voxel units, unless r
@@ -66,7 +67,7 @@ pub enum Side {
     #[default]
     Surface,
     /// As the sum of (2/3 + d/9) n over the surface connected to the surfel at distances d < 3:
-    /// DGtal's convolution of trivial normals over a ring of 3.
+    /// DGtal's convolution of trivial normals over a ring of 3. Ties between sites go as in DGtal too.
     Dgtal,
 }
 
@@ -106,6 +107,10 @@ impl Work for Around<'_> {
             wanted: self.wanted,
             points: self.points,
             ball: &self.kernel.offset,
+            ties: match self.kernel.side {
+                Side::Surface => Ties::Shared,
+                Side::Dgtal => Ties::Last,
+            },
         };
         // Slacks run from 0 to the limit and one more.
         let covariances = if self.kernel.offset.limit < i64::from(u16::MAX) {
