@@ -14,7 +14,8 @@
 
 use std::f64::consts::{PI, TAU};
 
-use curvox::mesh::{Field, MeshTotals, NormalSource};
+use curvox::measure::field::Field;
+use curvox::mesh::{MeshTotals, NormalSource};
 use curvox_tools::meshes::{Polyhedron, lantern};
 
 use crate::mesh::{Measured, measured};

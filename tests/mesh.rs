@@ -5,9 +5,10 @@ use std::sync::atomic::{AtomicBool, AtomicU64};
 
 use curvox::curvature::Curvature;
 use curvox::measure::ball::Weights;
+use curvox::measure::field::Field;
 use curvox::mesh::{
-    EdgeKind, FaceSums, Field, Flip, MeshMeasures, MeshSurface, MeshTotals, NormalField,
-    NormalSource, ball_sums,
+    EdgeKind, FaceSums, Flip, MeshMeasures, MeshSurface, MeshTotals, NormalField, NormalSource,
+    ball_sums,
 };
 use curvox::normal::{Estimator, Orientation};
 use curvox::pipeline::Settings;

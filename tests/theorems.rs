@@ -2,7 +2,8 @@ use std::f64::consts::PI;
 
 use curvox::khalimsky::Adjacency;
 use curvox::measure::ball::Weights;
-use curvox::measure::cells::{Asked, CellMeasures, CellTotals, Keep, evaluate, mark};
+use curvox::measure::cells::{Asked, CellMeasures, CellTotals, Keep, mark};
+use curvox::measure::evaluate;
 use curvox::measure::field::Field;
 use curvox::measure::fixed::{LUMPED_SOLID_ANGLE, to_measure, to_solid_angle};
 use curvox::measure::formula::spherical_triangle;

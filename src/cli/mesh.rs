@@ -14,17 +14,19 @@ use curvox_formats::mesh::{Mesh, MeshFormat, open_mesh, read_mesh};
 use serde_json::{Value, json};
 
 use crate::error::Error;
+use crate::measure::field::Field;
 use crate::mesh::{
-    Field, Flip, MeshMeasures, MeshSurface, NormalField, NormalSource, UsedNormals, ball_sums,
+    Flip, MeshMeasures, MeshSurface, NormalField, NormalSource, UsedNormals, ball_sums,
 };
 use crate::sink::{
     FACES_FILE, FaceTable, FaceTableInfo, MeshSummary, STDOUT, SinkError, prepare_mesh_output,
 };
 
 use super::exit::{self, BadInput, Usage, usage};
+use super::method::FieldName;
 use super::output::{Target, refuse_existing, target_of};
 use super::progress::{self, Style};
-use super::report::{number, place};
+use super::report::{flag_counts, number, place};
 use super::run::refuse_input_as_output;
 use super::{conventions, sizes};
 
@@ -141,13 +143,6 @@ enum Normals {
     Given,
     Faces,
     Vertices,
-}
-
-#[derive(ValueEnum, Clone, Copy, Debug, PartialEq)]
-enum FieldName {
-    Constant,
-    Interpolated,
-    Linear,
 }
 
 /// A radius as typed: `0.5`, or `2%`.
@@ -272,11 +267,7 @@ fn compute(
         Normals::Faces => NormalSource::Faces,
         Normals::Vertices => NormalSource::Vertices,
     };
-    let field = match args.field {
-        FieldName::Constant => Field::Constant,
-        FieldName::Interpolated => Field::Interpolated,
-        FieldName::Linear => Field::Linear,
-    };
+    let field = Field::from(args.field);
     let field = NormalField::new(mesh, &surface, source, field, flip).ok_or_else(|| {
         usage(format!(
             "{name} gives no normals; choose --normals vertices or --normals faces"
@@ -533,16 +524,14 @@ fn write_text(
         mean(summary.radius.mean_curvature.mean),
         mean(summary.radius.gaussian_curvature.mean),
     )?;
-    let flags: Vec<String> = summary
-        .radius
-        .flags
-        .iter()
-        .filter(|flag| flag.rows > 0)
-        .map(|flag| format!("{} {}", flag.name, sizes::count(flag.rows)))
-        .collect();
-    if !flags.is_empty() {
-        writeln!(out, "  flags    {}", flags.join(", "))?;
+    if let Some(quality) = summary.radius.quality_rms {
+        writeln!(
+            out,
+            "  quality  {} (root mean square; 0 for the normals of a surface)",
+            number(quality)
+        )?;
     }
+    flag_counts(out, &summary.radius.flags)?;
     for warning in &summary.warnings {
         writeln!(out, "warning    {warning}")?;
     }

@@ -174,10 +174,20 @@ pub(crate) struct MethodArgs {
 }
 
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq)]
-enum FieldName {
+pub(super) enum FieldName {
     Constant,
     Interpolated,
     Linear,
+}
+
+impl From<FieldName> for Field {
+    fn from(name: FieldName) -> Self {
+        match name {
+            FieldName::Constant => Field::Constant,
+            FieldName::Interpolated => Field::Interpolated,
+            FieldName::Linear => Field::Linear,
+        }
+    }
 }
 
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq)]
@@ -476,11 +486,7 @@ impl MethodArgs {
                 AdjacencyName::Interior => Adjacency::Interior,
                 AdjacencyName::Exterior => Adjacency::Exterior,
             },
-            field: match self.field {
-                FieldName::Constant => Field::Constant,
-                FieldName::Interpolated => Field::Interpolated,
-                FieldName::Linear => Field::Linear,
-            },
+            field: self.field.into(),
             directions: self.directions,
             quality: self.quality,
             radii,

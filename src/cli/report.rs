@@ -9,7 +9,7 @@ use crate::lattice::Lattice;
 use crate::measure::field::Field;
 use crate::measure::fixed;
 use crate::pipeline::Outcome;
-use crate::sink::{ExactTotals, RadiusSummary, RunFacts, Summary, SummarySink};
+use crate::sink::{ExactTotals, FlagCount, RadiusSummary, RunFacts, Summary, SummarySink};
 
 use super::job::Job;
 use super::output::Target;
@@ -330,15 +330,7 @@ impl Report {
                     number(quality)
                 )?;
             }
-            let flags: Vec<String> = radius
-                .flags
-                .iter()
-                .filter(|flag| flag.rows > 0)
-                .map(|flag| format!("{} {}", flag.name, sizes::count(flag.rows)))
-                .collect();
-            if !flags.is_empty() {
-                writeln!(out, "  flags    {}", flags.join(", "))?;
-            }
+            flag_counts(out, &radius.flags)?;
         }
         for warning in &summary.warnings {
             writeln!(out, "warning    {warning}")?;
@@ -361,6 +353,19 @@ pub(super) fn number(value: f64) -> String {
     } else {
         format!("{value:.4e}")
     }
+}
+
+/// The line of the flags that some rows carry.
+pub(super) fn flag_counts(out: &mut impl Write, flags: &[FlagCount]) -> std::fmt::Result {
+    let flags: Vec<String> = flags
+        .iter()
+        .filter(|flag| flag.rows > 0)
+        .map(|flag| format!("{} {}", flag.name, sizes::count(flag.rows)))
+        .collect();
+    if !flags.is_empty() {
+        writeln!(out, "  flags    {}", flags.join(", "))?;
+    }
+    Ok(())
 }
 
 #[cfg(test)]

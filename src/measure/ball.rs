@@ -33,7 +33,8 @@ use crate::lattice::{Ball, Lattice, LatticeError};
 use crate::surfel::{Kind, Rim, Surfel, Walker, displacement};
 use crate::symmetric::Symmetric;
 
-use super::cells::{Lumped, mark};
+use super::cells::{Keep, Lumped, mark};
+use super::field::Field;
 use super::fixed;
 pub use super::local::LocalMeasures;
 use super::local::{LocalCells, NONE};
@@ -58,6 +59,18 @@ pub enum Weights {
     Lumped,
     /// DGtal's inclusion ratios.
     Dgtal,
+}
+
+impl Weights {
+    /// How the measures of a field must be kept to be summed with these weights.
+    #[must_use]
+    pub fn keep(self, field: Field) -> Keep {
+        if field.is_continuous() || self == Weights::Lumped {
+            Keep::Lumped
+        } else {
+            Keep::Cells
+        }
+    }
 }
 
 /// Sums at one surfel, in voxel units.

@@ -1,9 +1,9 @@
 //! Corrected curvature measures: what each cell carries, and sums over balls.
 //!
 //! Comes in: surfels with their links and normals `u`. Goes out: mu0 on surfels, mu1 (as a tensor
-//! whose trace it is) on linels, mu2 on pointels ([`cells`]), and their sums over the part of the
+//! whose trace it is) on linels, mu2 on pointels ([`evaluate()`], [`cells`]), and their sums over the part of the
 //! surface in a ball ([`ball`]); on request also mu_Omega, which is zero for the normals of a surface. With
-//! a field that is continuous ([`field`]) all measures lie on surfels. The formulas alone,
+//! a field that is continuous ([`field::Field`]) all measures lie on surfels. The formulas alone,
 //! without any surface, are in [`formula`] and [`patch`].
 //!
 //! Paper: Lachaud, Romon, Thibert, *Corrected curvature measures*, Proposition 3.8 (constant `u`
@@ -16,9 +16,14 @@
 
 pub mod ball;
 pub mod cells;
+pub mod constant;
+pub mod continuous;
+mod evaluate;
 pub mod field;
 pub mod fixed;
 pub mod formula;
 mod local;
 pub mod patch;
 pub mod surface;
+
+pub use evaluate::evaluate;

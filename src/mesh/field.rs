@@ -17,6 +17,8 @@
 use curvox_formats::mesh::{Mesh, MeshFormat};
 use glam::DVec3;
 
+use crate::measure::field::Field;
+
 use super::surface::{Flip, MeshSurface};
 
 /// Which normals to take.
@@ -32,18 +34,6 @@ pub enum NormalSource {
     Faces,
     /// Means of the naive normals around each vertex.
     Vertices,
-}
-
-/// The kind of field.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Field {
-    /// One vector for each face (paper, Proposition 3.8).
-    #[default]
-    Constant,
-    /// Linear between vertices, then made a unit vector (paper, Example 2.4).
-    Interpolated,
-    /// Linear between vertices.
-    Linear,
 }
 
 /// Where the normals came from.

@@ -23,10 +23,11 @@ use std::f64::consts::TAU;
 use glam::DVec3;
 use rayon::prelude::*;
 
+use crate::measure::field::Field;
 use crate::measure::formula::{OPPOSITE, linel_tensor, spherical_triangle, swept_area};
 use crate::symmetric::Symmetric;
 
-use super::field::{Field, NormalField};
+use super::field::NormalField;
 use super::interpolated::{FaceMeasure, linear_triangle, unit_triangle};
 use super::surface::MeshSurface;
 

@@ -22,7 +22,7 @@ mod measures;
 mod sums;
 mod surface;
 
-pub use field::{Field, NormalField, NormalSource, UsedNormals};
+pub use field::{NormalField, NormalSource, UsedNormals};
 pub use interpolated::{FaceMeasure, linear_triangle, unit_triangle};
 pub use measures::{EdgeMeasure, MeshMeasures, MeshTotals};
 pub use sums::{FaceSums, ball_sums};

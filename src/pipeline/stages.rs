@@ -12,8 +12,9 @@ use rayon::prelude::*;
 use crate::brick::{BrickGrid, Slab, SlabWindow};
 use crate::curvature::Method;
 use crate::error::Error;
+use crate::measure;
 use crate::measure::ball::LocalMeasures;
-use crate::measure::cells::{self, Asked, CellMeasures, CellTotals, Keep, mark};
+use crate::measure::cells::{Asked, CellMeasures, CellTotals, Keep, mark};
 use crate::measure::surface::Surface;
 use crate::normal::Around;
 use crate::sink::{Parts, SurfelBatch, SurfelSink};
@@ -370,7 +371,7 @@ fn asked(shared: &Shared<'_>) -> Asked {
         keep: if shared.kernels.balls.is_empty() {
             Keep::Lumped
         } else {
-            settings.field.keep(settings.weights)
+            settings.weights.keep(settings.field)
         },
         quality: settings.quality,
     }
@@ -456,7 +457,7 @@ fn measure_brick(
         surface.len(),
         "bricks and their union have the same surfels"
     );
-    cells::evaluate(
+    measure::evaluate(
         &surface,
         core,
         shared.lattice.edges(),

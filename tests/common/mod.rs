@@ -5,7 +5,8 @@ use curvox::Error;
 use curvox::curvature::Curvature;
 use curvox::lattice::Lattice;
 use curvox::measure::ball::{BallKernel, BallSums, LocalMeasures};
-use curvox::measure::cells::{Asked, CellTotals, evaluate, mark};
+use curvox::measure::cells::{Asked, CellTotals, mark};
+use curvox::measure::evaluate;
 use curvox::measure::surface::Surface;
 use curvox::normal::{Around, NormalKernel};
 use curvox::pipeline::{Outcome, Progress, Settings, Source, run};
@@ -122,7 +123,7 @@ pub(crate) struct Whole {
 pub(crate) fn asked(settings: &Settings) -> Asked {
     Asked {
         field: settings.field,
-        keep: settings.field.keep(settings.weights),
+        keep: settings.weights.keep(settings.field),
         quality: settings.quality,
     }
 }
