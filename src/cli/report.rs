@@ -8,6 +8,7 @@ use crate::curvature::Method;
 use crate::lattice::Lattice;
 use crate::measure::field::Field;
 use crate::measure::fixed;
+use crate::normal::Estimator;
 use crate::pipeline::Outcome;
 use crate::sink::{ExactTotals, FlagCount, RadiusSummary, RunFacts, Summary, SummarySink};
 
@@ -27,6 +28,8 @@ pub(crate) struct Facts {
     pub(crate) otsu: Option<f64>,
     input: Value,
     warnings: Vec<String>,
+    /// What to say of normals that point inward.
+    why_opposed: &'static str,
     /// Whether Gauss-Bonnet is a theorem for the field of the run.
     gauss_bonnet: bool,
     /// The name in front of the format's warnings, which the summary must not depend on.
@@ -88,6 +91,7 @@ impl Facts {
                 "threshold_by_otsu": job.otsu.is_some(),
             }),
             warnings,
+            why_opposed: why_opposed(job.settings.estimator),
             gauss_bonnet: job.settings.field != Field::Linear,
             name,
         }
@@ -120,7 +124,7 @@ impl Facts {
             exact.euler_gauss_bonnet = None;
         }
         let summary = rows.summary(RunFacts::default());
-        warnings.extend(advice(&exact, &summary.radii));
+        warnings.extend(advice(&exact, &summary.radii, self.why_opposed));
         RunFacts {
             exact: Some(exact),
             warnings,
@@ -174,8 +178,26 @@ fn flagged(radius: &RadiusSummary, name: &str) -> u64 {
         .map_or(0, |f| f.rows)
 }
 
+/// Where normals point inward, and what helps: what is said after that they do.
+fn why_opposed(estimator: Estimator) -> &'static str {
+    match estimator {
+        Estimator::IntegralInvariant { .. }
+        | Estimator::VoronoiCovariance { .. }
+        | Estimator::SurfaceAverage { .. } => {
+            ", mostly on parts thinner than the normal radius; of the normals, `average` suits thin \
+             parts better and `ii` smooth ones"
+        }
+        Estimator::Gradient { .. } => {
+            ", where noise makes steps that the grey values around do not follow; a larger --sigma \
+             or a smoother image has fewer"
+        }
+        Estimator::Given => ", as the table has them",
+        Estimator::Trivial => "",
+    }
+}
+
 /// What the user should know about this surface.
-fn advice(exact: &ExactTotals, radii: &[RadiusSummary]) -> Vec<String> {
+fn advice(exact: &ExactTotals, radii: &[RadiusSummary], why_opposed: &str) -> Vec<String> {
     let mut advice = Vec::new();
     if exact.nan_voxels > 0 {
         advice.push(format!(
@@ -215,9 +237,8 @@ fn advice(exact: &ExactTotals, radii: &[RadiusSummary]) -> Vec<String> {
     // A few surfels at a corner are no reason to doubt a run.
     if share(opposed) > 1e-3 {
         advice.push(format!(
-            "{opposed} surfels ({:.2} %) have a normal that does not point out of the solid, mostly \
-             on parts thinner than the normal radius; flag `normal_opposed`; of the \
-             normals, `average` suits thin parts better and `ii` smooth ones",
+            "{opposed} surfels ({:.2} %) have a normal that does not point out of the solid (flag \
+             `normal_opposed`){why_opposed}",
             100.0 * share(opposed)
         ));
     }

@@ -128,6 +128,10 @@ fn asked(args: &JobArgs, job: &Job) -> Value {
     json!({
         "arguments": std::env::args_os().skip(1).map(|a| a.to_string_lossy().into_owned()).collect::<Vec<_>>(),
         "parameters": job.info.parameters,
+        "normals_from": args.method.normals_from().map(|path| json!({
+            "path": std::path::absolute(path).unwrap_or_else(|_| path.to_owned()),
+            "modified": input::modified(path),
+        })),
         "memory_bytes": args.resources.memory,
         "threads": job.settings.threads,
         "brick": args.resources.brick,

@@ -84,7 +84,7 @@ impl VolumeOutputArgs {
     ///
     /// # Errors
     /// If the file exists or cannot be written, standard output is a terminal, the format cannot
-    /// hold the volume, or `planes` fails. A new file is removed then.
+    /// hold the volume, or `planes` fails. A file, new or replaced, is removed then.
     pub(crate) fn write(
         &self,
         volume: &WriteSpec,
@@ -100,11 +100,11 @@ impl VolumeOutputArgs {
             }
             return write_to(io::stdout().lock(), path, volume, planes);
         }
-        let exists = path.exists();
+        let is_special = is_special(path);
         let made = OpenOptions::new()
             .write(true)
             .create(true)
-            .create_new(!self.overwrite && !is_special(path))
+            .create_new(!self.overwrite && !is_special)
             .truncate(self.overwrite)
             .open(path);
         let file: File = made.map_err(|error| match error.kind() {
@@ -117,7 +117,7 @@ impl VolumeOutputArgs {
         })?;
         let out = BufWriter::with_capacity(1 << 18, file);
         let result = write_to(out, path, volume, planes);
-        if result.is_err() && !exists {
+        if result.is_err() && !is_special {
             // A file cut short would look like a damaged volume.
             let _ = std::fs::remove_file(path);
         }

@@ -53,7 +53,8 @@ pub struct Curvature {
     pub d1: DVec3,
     /// Direction of `k2`, in image axes.
     pub d2: DVec3,
-    /// mu_Omega / mu0; 0 unless mu_Omega was evaluated, not a number with integral invariants.
+    /// mu_Omega / mu0 in image axes, so of the other sign in a world where they are left-handed; 0 unless
+    /// mu_Omega was evaluated, not a number with integral invariants.
     pub quality: f64,
 }
 

@@ -116,7 +116,7 @@ impl BrickRows {
                     principal.push(directions(shared, curvature.as_ref()));
                 }
                 if shared.settings.quality {
-                    quality.push(curvature.map_or(f32::NAN, |c| c.quality as f32));
+                    quality.push(curvature.map_or(f32::NAN, |c| quality_in_world(shared, &c)));
                 }
             }
             rows.curvatures.push(curvatures);
@@ -164,7 +164,7 @@ impl BrickRows {
                 rows.directions.push(principal.collect());
             }
             if shared.settings.quality {
-                let quality = found.iter().map(|(c, _)| c.quality as f32);
+                let quality = found.iter().map(|(c, _)| quality_in_world(shared, c));
                 rows.quality.push(quality.collect());
             }
         }
@@ -216,6 +216,19 @@ fn directions(shared: &Shared<'_>, curvature: Option<&Curvature>) -> [[f32; 3]; 
     match curvature {
         None => [[f32::NAN; 3]; 2],
         Some(c) => [c.d1, c.d2].map(|d| to_world(shared, upward(d))),
+    }
+}
+
+/// mu_Omega / mu0 as seen in the world: where the axes of the image are left-handed there, a turn
+/// counter-clockwise in the image is one clockwise in the world.
+fn quality_in_world(shared: &Shared<'_>, curvature: &Curvature) -> f32 {
+    let [a, b, c] = shared.lattice.direction.map(DVec3::from_array);
+    let quality = curvature.quality as f32;
+    if a.cross(b).dot(c) < 0.0 {
+        // not a minus sign, which would leave -0
+        0.0 - quality
+    } else {
+        quality
     }
 }
 

@@ -8,6 +8,9 @@
 //! or have no statistics are read whole for every slab: right, only slower. Held in memory: the
 //! ranges of the row groups, and a batch of rows.
 //!
+//! Pages may be stored as they are or in Snappy, gzip or Zstandard, as tools of tables write them
+//! by default; other codecs are refused when the table is opened.
+//!
 //! A value that is missing, a normal of length 0 or not finite, and a side that is not 1 or -1 are
 //! errors that name the row.
 
@@ -24,6 +27,7 @@ use parquet::arrow::ProjectionMask;
 use parquet::arrow::arrow_reader::{
     ArrowReaderMetadata, ArrowReaderOptions, ParquetRecordBatchReaderBuilder,
 };
+use parquet::basic::Compression;
 use parquet::file::statistics::Statistics;
 
 use super::error::SinkError;
@@ -195,6 +199,18 @@ impl NormalFile {
         let kz = columns.iter().position(|c| c.path().string() == "kz");
         let mut first = 0;
         for group in metadata.metadata().row_groups() {
+            let other = group.columns().iter().find(|column| {
+                COLUMNS.contains(&column.column_path().string().as_str())
+                    && !is_read(column.compression())
+            });
+            if let Some(column) = other {
+                return Err(damaged(
+                    &file.path,
+                    &format!("column {}", column.column_path().string()),
+                    format!("the codec {}", column.compression()),
+                    "no compression, SNAPPY, GZIP or ZSTD",
+                ));
+            }
             let rows = u64::try_from(group.num_rows()).map_err(|_| {
                 damaged(
                     &file.path,
@@ -252,6 +268,17 @@ impl NormalFile {
             .build()
             .map_err(|error| damaged(&self.path, "rows", error, "a table"))
     }
+}
+
+/// Whether pages in a codec can be read.
+fn is_read(codec: Compression) -> bool {
+    matches!(
+        codec,
+        Compression::UNCOMPRESSED
+            | Compression::SNAPPY
+            | Compression::GZIP(_)
+            | Compression::ZSTD(_)
+    )
 }
 
 /// The columns of a batch.

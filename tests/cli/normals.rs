@@ -6,6 +6,7 @@ use arrow_array::{
 };
 use curvox::sink::{Check, OutputInfo, SurfelBatch};
 use parquet::arrow::ArrowWriter;
+use parquet::basic::{Compression, GzipLevel, ZstdLevel};
 use parquet::file::properties::{EnabledStatistics, WriterProperties};
 
 use super::{Place, curvox, read};
@@ -58,6 +59,16 @@ fn normals_of(rows: &SurfelBatch) -> Vec<Row> {
 }
 
 fn write(path: &Path, columns: Vec<(&str, ArrayRef)>, statistics: bool, group: usize) {
+    write_in(Compression::UNCOMPRESSED, path, columns, statistics, group);
+}
+
+fn write_in(
+    codec: Compression,
+    path: &Path,
+    columns: Vec<(&str, ArrayRef)>,
+    statistics: bool,
+    group: usize,
+) {
     let batch = RecordBatch::try_from_iter_with_nullable(
         columns.into_iter().map(|(name, array)| (name, array, true)),
     )
@@ -70,6 +81,7 @@ fn write(path: &Path, columns: Vec<(&str, ArrayRef)>, statistics: bool, group: u
     let properties = WriterProperties::builder()
         .set_max_row_group_row_count(Some(group))
         .set_statistics_enabled(level)
+        .set_compression(codec)
         .build();
     let file = std::fs::File::create(path).unwrap();
     let mut writer = ArrowWriter::try_new(file, batch.schema(), Some(properties)).unwrap();
@@ -216,6 +228,60 @@ fn normals_in_any_order_type_and_cut_give_the_same_bytes() {
     let ways = ["run", &ball, "-o", &out, "--normals", "average", "--quiet"];
     curvox(&[&ways[..], &BALL].concat()).out();
     assert!(made("out", "f.parquet", &[]) == expected);
+    // Snappy is what most tools of tables write unless told otherwise.
+    for codec in [
+        Compression::SNAPPY,
+        Compression::GZIP(GzipLevel::default()),
+        Compression::ZSTD(ZstdLevel::default()),
+    ] {
+        let path = place.path("coded.parquet");
+        write_in(codec, &path, columns(&given), true, 500);
+        assert!(
+            made("coded.parquet", "g.parquet", &[]) == expected,
+            "{codec}"
+        );
+    }
+}
+
+/// Replaces the ball by itself with noise, its first axis towards -x of the world if asked.
+fn noisy(place: &Place, is_mirrored: bool) {
+    let ball = place.text("ball.nii");
+    let noise = ["noise", &ball, "--threshold", "1", "--noise", "0.2"];
+    let mut noisy = curvox(&noise).out();
+    if is_mirrored {
+        noisy[280..284].copy_from_slice(&(-0.5f32).to_le_bytes());
+    }
+    std::fs::write(place.path("ball.nii"), noisy).unwrap();
+}
+
+#[test]
+fn the_sign_of_the_quality_is_that_of_the_world() {
+    let [plain, mirrored] = [false, true].map(|is_mirrored| {
+        let place = Place::with_ball();
+        noisy(&place, is_mirrored);
+        run(&place, "rows.parquet", &["--quality"])
+    });
+    let [a, b] = [&plain, &mirrored].map(|rows| &rows.curvatures[0]);
+    assert!(plain.normal[1] == mirrored.normal[1] && a.mean == b.mean);
+    assert!(a.quality.iter().any(|q| *q > 0.05));
+    assert!(a.quality.iter().zip(&b.quality).all(|(a, b)| *a == -b));
+}
+
+#[test]
+fn what_is_said_of_opposed_normals_is_about_those_asked_for() {
+    let place = Place::with_ball();
+    noisy(&place, false);
+    let (ball, out) = (place.text("ball.nii"), place.text("out.parquet"));
+    let asked = ["run", &ball, "--threshold", "1", "-o", &out, "--overwrite"];
+    for (normals, helps) in [("gradient", "--sigma"), ("ii", "normal radius")] {
+        let said = curvox(&[&asked[..], &["--normals", normals]].concat())
+            .end()
+            .err;
+        assert!(said.contains("`normal_opposed`"), "{said}");
+        for other in ["--sigma", "normal radius"] {
+            assert_eq!(said.contains(other), helps == other, "{said}");
+        }
+    }
 }
 
 #[test]

@@ -191,3 +191,19 @@ fn grey_shapes_have_their_surface_half_way() {
         assert!(said.contains(word), "{said}");
     }
 }
+
+#[test]
+fn no_half_of_a_volume_is_left() {
+    let place = Place::with_ball();
+    let whole = read(&place.path("ball.nii"));
+    let path = place.text("noisy.nii");
+    let asked = ["noise", "-", "--threshold", "1", "--noise", "0.1", "-o"];
+    for before in [None, Some(b"what was there")] {
+        if let Some(before) = before {
+            std::fs::write(&path, before).unwrap();
+        }
+        let cut = curvox(&[&asked[..], &[&path, "--overwrite"]].concat());
+        cut.input(&whole[..whole.len() - 1000]).fails(3);
+        assert!(!place.path("noisy.nii").exists(), "{before:?}");
+    }
+}
