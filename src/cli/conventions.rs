@@ -107,6 +107,6 @@ pub(crate) const EXIT_HELP: &str = "\
 Exit codes:
   0    done (also when the reader of a pipe on standard output went away)
   1    the run failed, or the output could not be written
-  2    the command line makes no sense
+  2    the command line makes no sense, or asks for what cannot be
   3    the input is damaged, cut short, unreadable or of no known format
   130  interrupted (Ctrl-C or a termination signal); a second Ctrl-C ends at once";
