@@ -2,8 +2,8 @@
 //! curvature measures*, figure by figure, and a few beyond.
 //!
 //! Comes in: a finest gridstep, and volumes if there are any at hand. Goes out: a folder with a page
-//! `index.md`, a picture (`.svg`, or `.png` for coloured surfaces) and the numbers (`.csv`) of every
-//! figure, and the folder `runs` with a table and a record for every run.
+//! `README.md`, a picture (`.svg`, or `.png` for coloured surfaces) and the numbers (`.csv`) of every
+//! figure, and a folder of runs with a table and a record for every run.
 //!
 //! ```text
 //!   figures -> runs wanted -> run_all: spawn curvox, read rows, truth, errors -> figures -> page
@@ -34,8 +34,11 @@ pub mod subjects;
 
 pub mod convergence;
 pub mod directions;
+pub mod fields;
 pub mod noise;
 pub mod pictures;
+pub mod rates;
+pub mod shapes;
 pub mod stability;
 pub mod times;
 

@@ -37,10 +37,14 @@ pub enum Estimator {
     Paper,
     /// Corrected measures, normals by Voronoi covariance.
     Vcm,
+    /// The same with orientation and weights of the paper's authors.
+    VcmPaper,
     /// Corrected measures, normals by averaging the surface.
     Average,
     /// Trivial normals: the normal cycle.
     Trivial,
+    /// The same with weights of the paper's authors.
+    TrivialPaper,
     /// Plain digital integral invariants, without measures.
     PlainIi,
 }
@@ -50,10 +54,12 @@ impl Estimator {
     pub fn name(self) -> &'static str {
         match self {
             Estimator::Ii => "ii",
-            Estimator::Paper => "paper",
+            Estimator::Paper => "paper ii",
             Estimator::Vcm => "vcm",
+            Estimator::VcmPaper => "paper vcm",
             Estimator::Average => "average",
             Estimator::Trivial => "trivial",
+            Estimator::TrivialPaper => "paper trivial",
             Estimator::PlainIi => "plain II",
         }
     }
@@ -64,10 +70,19 @@ impl Estimator {
             Estimator::Ii => "corrected measures, u = II",
             Estimator::Paper => "corrected measures, u = II, as DGtal computes them",
             Estimator::Vcm => "corrected measures, u = VCM",
+            Estimator::VcmPaper => "corrected measures, u = VCM, as DGtal computes them",
             Estimator::Average => "corrected measures, u = average of the surface",
             Estimator::Trivial => "normal cycle (u = n)",
+            Estimator::TrivialPaper => "normal cycle, as DGtal computes it",
             Estimator::PlainIi => "plain integral invariants",
         }
+    }
+
+    fn has_trivial_normals(self) -> bool {
+        matches!(
+            self,
+            Estimator::Trivial | Estimator::TrivialPaper | Estimator::PlainIi
+        )
     }
 
     fn options(self) -> &'static [&'static str] {
@@ -75,9 +90,37 @@ impl Estimator {
             Estimator::Ii => &[],
             Estimator::Paper => &["--method", "paper"],
             Estimator::Vcm => &["--normals", "vcm"],
+            Estimator::VcmPaper => &["--method", "paper", "--normals", "vcm"],
             Estimator::Average => &["--normals", "average"],
             Estimator::Trivial => &["--normals", "trivial"],
-            Estimator::PlainIi => &["--curvature", "ii"],
+            Estimator::TrivialPaper => &["--method", "paper", "--normals", "trivial"],
+            // It needs no normals; trivial ones take no time.
+            Estimator::PlainIi => &["--curvature", "ii", "--normals", "trivial"],
+        }
+    }
+}
+
+/// How normals go on between surfels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Field {
+    /// Constant on each surfel.
+    Constant,
+    /// Between pointels, of unit length.
+    Interpolated,
+    /// Between pointels, not of unit length.
+    Linear,
+}
+
+impl Field {
+    /// All, the default first.
+    pub const ALL: [Field; 3] = [Field::Constant, Field::Interpolated, Field::Linear];
+
+    /// As `curvox` calls it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Field::Constant => "constant",
+            Field::Interpolated => "interpolated",
+            Field::Linear => "linear",
         }
     }
 }
@@ -91,6 +134,8 @@ pub struct Method {
     pub normal_radius: Option<f64>,
     /// Radii rho of the measures, or r' of plain integral invariants.
     pub radii: Vec<f64>,
+    /// Normals between surfels, with the quality of the field; none is curvox's default without it.
+    pub field: Option<Field>,
 }
 
 /// `constant` h^`exponent` in voxels of edge h.
@@ -115,8 +160,9 @@ impl Method {
         let voxels = |constant| in_voxels(constant, exponent, gridstep);
         Method {
             estimator,
-            normal_radius: (estimator != Estimator::Trivial).then(|| voxels(normals)),
+            normal_radius: (!estimator.has_trivial_normals()).then(|| voxels(normals)),
             radii: measures.iter().map(|&m| voxels(m)).collect(),
+            field: None,
         }
     }
 
@@ -134,6 +180,16 @@ impl Method {
                 .iter()
                 .map(|&k| in_voxels(k, exponent, gridstep))
                 .collect(),
+            field: None,
+        }
+    }
+
+    /// The same with a field, and its quality.
+    #[must_use]
+    pub fn with(self, field: Field) -> Self {
+        Method {
+            field: Some(field),
+            ..self
         }
     }
 
@@ -148,6 +204,9 @@ impl Method {
         // They would double the tables of many radii, where nobody asks for them.
         if self.estimator != Estimator::PlainIi && self.radii.len() == 1 {
             options.push("--directions".into());
+        }
+        if let Some(field) = self.field {
+            options.extend(["--quality", "--field", field.name()].map(String::from));
         }
         options
     }
@@ -337,6 +396,9 @@ pub struct Record {
     pub cpu_seconds: Option<f64>,
     /// Most memory resident at once; none where that is not known.
     pub peak_bytes: Option<u64>,
+    /// Processes that wanted a processor of the machine at its end, averaged over a minute (this run
+    /// is one); none where that is not known.
+    pub load: Option<f64>,
 }
 
 /// How a run ended.
@@ -440,6 +502,7 @@ impl Runner {
             wall_seconds,
             cpu_seconds,
             peak_bytes,
+            load: load(),
         };
         // Whole or not at all, for the next time relies on it.
         let unfinished = record_path.with_extension("unfinished");
@@ -560,6 +623,12 @@ fn wait(mut child: Child, started: Instant) -> Result<Spent> {
     })
 }
 
+/// The load average of the last minute, where the system tells it.
+fn load() -> Option<f64> {
+    let text = fs::read_to_string("/proc/loadavg").ok()?;
+    text.split_whitespace().next()?.parse().ok()
+}
+
 fn find_program() -> Result<PathBuf> {
     if let Some(path) = std::env::var_os("CURVOX") {
         return Ok(PathBuf::from(path));
@@ -619,7 +688,11 @@ mod tests {
             ..run.clone()
         };
         let other = Run::shape("goursat", 0.5, Method::of_paper(Estimator::Average, 0.5));
-        let stems = [&run, &noisy, &closed, &other].map(Run::file_stem);
+        let linear = Run {
+            method: Method::of_paper(Estimator::Ii, 0.5).with(Field::Linear),
+            ..run.clone()
+        };
+        let stems = [&run, &noisy, &closed, &other, &linear].map(Run::file_stem);
         for (i, stem) in stems.iter().enumerate() {
             assert!(!stems[..i].contains(stem), "{stem}");
             assert!(stem.starts_with("goursat-h0-5-"));
