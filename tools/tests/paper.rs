@@ -126,6 +126,47 @@ fn errors_on_goursat_are_near_those_of_dgtal() {
 }
 
 #[test]
+fn fields_differ_little_and_normals_become_better() {
+    let csv = text(quick(), "fields.csv");
+    let mut values: BTreeMap<[&str; 4], f64> = BTreeMap::new();
+    for line in csv.lines().skip(1) {
+        let cells: Vec<&str> = line.split(',').collect();
+        values.insert(
+            [cells[0], cells[1], cells[2], cells[3]],
+            cells[4].parse().unwrap(),
+        );
+    }
+    for normals in ["ii", "vcm"] {
+        for gridstep in ["1", "0.5", "0.25"] {
+            for what in ["l2 error of H", "l2 error of G"] {
+                let of = |field| values[&[what, normals, field, gridstep]];
+                for field in ["interpolated", "linear"] {
+                    let ratio = of(field) / of("constant");
+                    assert!(
+                        (0.8..1.25).contains(&ratio),
+                        "{what} {normals} {field}: {ratio}"
+                    );
+                }
+            }
+        }
+        for field in ["constant", "interpolated", "linear"] {
+            let of = |gridstep| values[&["rms quality", normals, field, gridstep]];
+            assert!(of("0.25") < 0.7 * of("1"), "{normals} {field}");
+        }
+    }
+}
+
+#[test]
+fn the_page_says_nothing_of_the_machine() {
+    let page = text(quick(), "README.md");
+    let folder = quick().display().to_string();
+    let home = env!("CARGO_MANIFEST_DIR");
+    for unwanted in [folder.as_str(), home, "/tmp", "/home"] {
+        assert!(!page.contains(unwanted), "{unwanted}");
+    }
+}
+
+#[test]
 fn runs_that_are_there_are_not_repeated() {
     let folder = tempfile::tempdir().unwrap();
     let more = ["--figure", "5", "--finest", "1"];

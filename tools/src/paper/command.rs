@@ -290,7 +290,7 @@ fn introduction(study: &Study, runner: &Runner, results: &Results) -> Result<Str
          the same voxels at the same radii; `ratio` is curvox's error over DGtal's. *plain II* are digital \
          integral invariants without measures.\n\n\
          Rows `paper ...` are `--method paper`, the choices of the paper's authors in DGtal; the others are curvox's \
-         defaults. Of a digital surface nothing finer than h = 1/16 is run that takes minutes.\n\n\
+         defaults. Runs that would take minutes end at h = 1/16.\n\n\
          Made by `cargo run --release -p curvox-tools -- paper -o docs/paper --runs target/paper{}`, on {}.\n",
         results.count(),
         page::gridstep(study.finest),

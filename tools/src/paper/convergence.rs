@@ -112,17 +112,17 @@ fn lines(curve: &Curve, colour: usize) -> Vec<Line> {
         .into()
 }
 
-/// How far above the largest error the powers of h begin: nearer they hide the curves.
+/// How far above the largest error there the powers of h begin: nearer they hide the curves.
 const ABOVE: f64 = 1.5;
 
 /// Powers of h through a point near the others, to compare slopes with.
 fn powers(curves: &[Curve], exponents: &[(f64, &str)]) -> Vec<Line> {
     let steps = || curves.iter().flat_map(|c| c.points.iter().map(|p| p.0));
     let (low, high) = steps().fold((f64::INFINITY, 0.0_f64), |(l, h), s| (l.min(s), h.max(s)));
+    // Where the lines begin: errors that grow are no measure of where the others are.
     let top = curves
         .iter()
-        .flat_map(|c| c.norms(Norm::Linf))
-        .map(|p| p.1)
+        .filter_map(|c| c.at(high, Norm::Linf))
         .fold(0.0, f64::max);
     let power = |&(exponent, name): &(f64, &str)| Line {
         name: format!("h^({name})"),
@@ -276,7 +276,9 @@ pub fn lipschitz(study: &Study, results: &Results) -> Result<Section> {
             "![delta_u against h](figure04.svg)\n\n*delta_u = max |u_i - u_j| over surfels that share a \
              linel (linels of four surfels left out), Goursat, r = 3 h^(1/2). The average of the surface \
              is not in the paper.* Numbers: [figure04.csv](figure04.csv).\n\n{}\nAngle between u and the true \
-             normal, degrees (the paper has a bound of O(h^(2/3)) for II):\n\n{}\n{refused}",
+             normal, degrees (the paper has a bound of O(h^(2/3)) for II). II normals are those of \
+             DGtal but for their orientation; VCM normals differ since points with several nearest sites are shared \
+             equally between them, where DGtal gives them to the last in the order of z, y, x:\n\n{}\n{refused}",
             table.markdown(),
             angles.table().markdown()
         ),

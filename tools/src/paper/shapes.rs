@@ -12,7 +12,7 @@ use super::slopes::{Curve, Norm, exponent};
 use super::study::{Results, Study};
 
 /// The finest gridstep.
-const FINEST: f64 = 1.0 / 16.0;
+const FINEST: f64 = 1.0 / 8.0;
 
 /// Those that DGtal knows too.
 const SHAPES: [&str; 5] = ["sphere", "torus", "ellipsoid", "rcube", "leopold"];

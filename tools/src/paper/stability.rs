@@ -188,7 +188,9 @@ pub fn section(study: &Study, results: &Results) -> Result<Section> {
                     .collect();
                 let most = near.iter().copied().fold(0.0, f64::max);
                 let least = near.iter().copied().fold(f64::INFINITY, f64::min);
-                plain_spread = Some((h, most / least));
+                if near.len() > 1 {
+                    plain_spread = Some((h, most / least));
+                }
                 for &(k, linf) in &points {
                     let l2 = errors(results, &run, place(constants, k)).map_or(f64::NAN, |e| e.l2);
                     csv.rows.push(vec![
