@@ -5,10 +5,11 @@ use std::fmt::Write as _;
 use anyhow::Result;
 
 use super::dgtal::{self, Quantity};
+use super::methods::{Estimator, Method};
 use super::page::{self, ErrorTable, Section, Table, compared, gridstep, slope};
 use super::plot::{Axis, Line, Panel, REFERENCE, svg};
 use super::rows::Errors;
-use super::runs::{Estimator, Method, Run};
+use super::runs::Run;
 use super::slopes::{Curve, Norm, exponent, last_three};
 use super::study::{Finished, Results, Study};
 

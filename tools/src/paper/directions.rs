@@ -7,9 +7,10 @@ use glam::DVec3;
 
 use super::dgtal::{self, Quantity};
 use super::drawing::{self, bar, signed, surface};
+use super::methods::{Estimator, Method};
 use super::page::{self, Section, Table, full, gridstep, number};
 use super::rows::{Rows, Truth, UMBILIC, truth};
-use super::runs::{Estimator, Method, Run};
+use super::runs::Run;
 use super::slopes::Norm;
 use super::study::{Results, Study};
 use crate::picture::{Montage, Stick};

@@ -3,8 +3,9 @@
 use anyhow::Result;
 
 use super::convergence::Curvature;
+use super::methods::{Estimator, Field, Method};
 use super::page::{self, Section, Table, full, gridstep, number, slope};
-use super::runs::{Estimator, Field, Method, Run};
+use super::runs::Run;
 use super::slopes::{Points, exponent};
 use super::study::{Results, Study};
 

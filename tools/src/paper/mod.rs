@@ -10,7 +10,7 @@
 //!              (shared)       (kept in runs/)                                   (plots, words)
 //! ```
 //!
-//! * [`runs`] makes runs as a user would, and is the one place that knows options of `curvox`.
+//! * [`runs`] makes runs as a user would; it and [`methods`] are the places that know options of `curvox`.
 //! * [`rows`] reads their tables and measures errors against the truth at the closest point.
 //! * [`study`] says what is asked, and makes all runs, several at a time.
 //! * [`slopes`] fits exponents, [`dgtal`] holds DGtal's numbers, [`plot`] and [`page`] draw and write.
@@ -24,6 +24,7 @@
 
 pub mod dgtal;
 pub mod drawing;
+pub mod methods;
 pub mod page;
 pub mod plot;
 pub mod rows;

@@ -5,9 +5,10 @@ use std::fmt::Write as _;
 use anyhow::Result;
 
 use super::convergence::{Curvature, POWERS, STROKES, curve, of_value, panel};
+use super::methods::{Estimator, Method};
 use super::page::{self, ErrorTable, Section, gridstep};
 use super::plot::svg;
-use super::runs::{Estimator, Method, Run};
+use super::runs::Run;
 use super::slopes::{Curve, Norm, exponent};
 use super::study::{Results, Study};
 

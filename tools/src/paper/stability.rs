@@ -3,10 +3,11 @@
 use anyhow::Result;
 
 use super::convergence::Curvature;
+use super::methods::{Estimator, Method};
 use super::page::{self, Section, Table, full, gridstep, number};
 use super::plot::{Axis, HeatMap, Line, Panel, heat_maps, svg};
 use super::rows::Errors;
-use super::runs::{Estimator, Method, Run};
+use super::runs::Run;
 use super::slopes::Norm;
 use super::study::{Results, Study};
 

@@ -4,9 +4,10 @@ use anyhow::Result;
 
 use super::convergence::{Curvature, of_paper, plain};
 use super::dgtal::{self, Quantity};
+use super::methods::Estimator;
 use super::page::{self, Section, Table, full, gridstep, number, slope};
 use super::plot::{Axis, Line, Panel, svg};
-use super::runs::{Estimator, Run};
+use super::runs::Run;
 use super::slopes::{Norm, Points, exponent};
 use super::study::{Results, Study};
 
