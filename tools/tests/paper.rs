@@ -126,7 +126,7 @@ fn errors_on_goursat_are_near_those_of_dgtal() {
 }
 
 #[test]
-fn fields_differ_little_and_normals_become_better() {
+fn fields_differ_little_and_quality_is_better_at_a_quarter_than_at_one() {
     let csv = text(quick(), "fields.csv");
     let mut values: BTreeMap<[&str; 4], f64> = BTreeMap::new();
     for line in csv.lines().skip(1) {

@@ -211,8 +211,6 @@ pub struct Record {
     pub wall_seconds: f64,
     /// Processor seconds, user and system, of `curvox run` alone; none where that is not known.
     pub cpu_seconds: Option<f64>,
-    /// Most memory resident at once; none where that is not known.
-    pub peak_bytes: Option<u64>,
     /// Processes that wanted a processor of the machine at its end, averaged over a minute (this run
     /// is one); none where that is not known.
     pub load: Option<f64>,
@@ -303,7 +301,6 @@ impl Runner {
             message,
             wall_seconds,
             cpu_seconds,
-            peak_bytes,
         } = self.spawn(run, &table).with_context(|| command.clone())?;
         if status.code() == Some(USAGE) {
             let first = message.lines().next().unwrap_or_default();
@@ -318,7 +315,6 @@ impl Runner {
             program: self.identity.clone(),
             wall_seconds,
             cpu_seconds,
-            peak_bytes,
             load: load(),
         };
         // Whole or not at all, for the next time relies on it.
@@ -380,7 +376,6 @@ struct Spent {
     message: String,
     wall_seconds: f64,
     cpu_seconds: Option<f64>,
-    peak_bytes: Option<u64>,
 }
 
 fn text_of(child: &mut Child) -> Result<String> {
@@ -413,18 +408,11 @@ fn wait(child: Child, started: Instant) -> Result<Spent> {
         }
     }
     let seconds = |t: libc::timeval| t.tv_sec as f64 + t.tv_usec as f64 * 1e-6;
-    // Linux counts in KiB, others in bytes or not at all.
-    let peak_bytes = cfg!(target_os = "linux").then(|| {
-        u64::try_from(usage.ru_maxrss)
-            .unwrap_or_default()
-            .saturating_mul(1024)
-    });
     Ok(Spent {
         status: ExitStatus::from_raw(status),
         message: String::new(),
         wall_seconds: started.elapsed().as_secs_f64(),
         cpu_seconds: Some(seconds(usage.ru_utime) + seconds(usage.ru_stime)),
-        peak_bytes,
     })
 }
 
@@ -436,7 +424,6 @@ fn wait(mut child: Child, started: Instant) -> Result<Spent> {
         message: String::new(),
         wall_seconds: started.elapsed().as_secs_f64(),
         cpu_seconds: None,
-        peak_bytes: None,
     })
 }
 

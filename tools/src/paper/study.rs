@@ -50,7 +50,7 @@ impl Study {
 
     /// Width of one picture of several, in pixels.
     pub fn picture_width(&self) -> u32 {
-        if self.quick { 200 } else { 280 }
+        if self.quick { 200 } else { 230 }
     }
 }
 

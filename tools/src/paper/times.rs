@@ -210,10 +210,6 @@ pub fn section(study: &Study, results: &Results) -> Result<Section> {
             number(plain_time / time)
         ));
     }
-    let peaks: String = [Estimator::Ii, Estimator::Vcm]
-        .into_iter()
-        .map(|estimator| peaks(study, results, estimator))
-        .collect();
     let load = runs(study)
         .iter()
         .filter_map(|run| results.find(run)?.record.load)
@@ -240,31 +236,12 @@ pub fn section(study: &Study, results: &Results) -> Result<Section> {
              (user and system) of whole runs, from the voxels in a pipe to the Parquet file with H, G, k1, k2, d1, d2 \
              together. DGtal: normals, mesh and the two sums for H alone (plain II: H alone), on a similar \
              machine, not in the same run. Exponents are fitted without h = 1.* Numbers: [figure19.csv](figure19.csv).\n\n\
-             Microseconds a surfel:\n\n{}\n{load}{peaks}{}\n{}",
+             Microseconds a surfel:\n\n{}\n{load}{}\n{}",
             table.markdown(),
             WHY,
             results.refusals(&runs(study))
         ),
     })
-}
-
-/// The memory that runs took, as a paragraph; none if that is not known.
-fn peaks(study: &Study, results: &Results, estimator: Estimator) -> String {
-    let all: Vec<String> = of_paper(study, estimator)
-        .iter()
-        .filter_map(|run| {
-            let bytes = results.find(run)?.record.peak_bytes?;
-            Some(format!("{} at h = {}", bytes >> 20, gridstep(run.gridstep)))
-        })
-        .collect();
-    if all.is_empty() {
-        return String::new();
-    }
-    format!(
-        "Peak resident memory with u = {}, MiB: {}.\n\n",
-        estimator.name(),
-        all.join(", ")
-    )
 }
 
 #[cfg(test)]
