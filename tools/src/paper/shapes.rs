@@ -114,7 +114,7 @@ pub fn section(study: &Study, results: &Results) -> Result<Section> {
         finding,
         body: format!(
             "![errors on other shapes](shapes.svg)\n\n*The sphere (radius 9), the torus (6, 2), the ellipsoid (9, 6, \
-             4), a cube with round edges (x^4 + y^4 + z^4 = 9^4) and Leopold's surface; r = rho = 3 h^(1/2), down to \
+             4), a cube with round edges (x^4 + y^4 + z^4 = 9^4) and Leopold's surface, whose ridges have radii far below those of the balls at all these gridsteps; r = rho = 3 h^(1/2), down to \
              h = {}. {STROKES}* Numbers: [shapes.csv](shapes.csv).\n\n{body}{}",
             gridstep(steps.last().copied().unwrap_or(1.0)),
             results.refusals(&runs)
