@@ -40,7 +40,7 @@ fn text(folder: &Path, name: &str) -> String {
 #[test]
 fn every_figure_has_its_files_and_the_page_shows_them() {
     let folder = quick();
-    let page = text(folder, "index.md");
+    let page = text(folder, "README.md");
     let mut pictures = 0;
     for piece in page.split("](").skip(1) {
         let Some((target, _)) = piece.split_once(')') else {
@@ -106,7 +106,13 @@ fn errors(csv: &str) -> BTreeMap<(String, String, String), (f64, f64)> {
 fn errors_on_goursat_are_near_those_of_dgtal() {
     for (file, figure) in [("figure08.csv", "H"), ("figure14.csv", "G")] {
         let errors = errors(&text(quick(), file));
-        for (name, bound) in [("ii", 0.10), ("paper", 0.01)] {
+        for (name, bound) in [
+            ("ii", 0.10),
+            ("paper ii", 0.01),
+            ("vcm", 0.15),
+            ("paper vcm", 0.03),
+            ("paper trivial", 0.02),
+        ] {
             for gridstep in ["1", "0.5", "0.25"] {
                 for norm in ["l2", "linf"] {
                     let key = [name, gridstep, norm].map(str::to_owned).into();
@@ -120,6 +126,47 @@ fn errors_on_goursat_are_near_those_of_dgtal() {
 }
 
 #[test]
+fn fields_differ_little_and_quality_is_better_at_a_quarter_than_at_one() {
+    let csv = text(quick(), "fields.csv");
+    let mut values: BTreeMap<[&str; 4], f64> = BTreeMap::new();
+    for line in csv.lines().skip(1) {
+        let cells: Vec<&str> = line.split(',').collect();
+        values.insert(
+            [cells[0], cells[1], cells[2], cells[3]],
+            cells[4].parse().unwrap(),
+        );
+    }
+    for normals in ["ii", "vcm"] {
+        for gridstep in ["1", "0.5", "0.25"] {
+            for what in ["l2 error of H", "l2 error of G"] {
+                let of = |field| values[&[what, normals, field, gridstep]];
+                for field in ["interpolated", "linear"] {
+                    let ratio = of(field) / of("constant");
+                    assert!(
+                        (0.8..1.25).contains(&ratio),
+                        "{what} {normals} {field}: {ratio}"
+                    );
+                }
+            }
+        }
+        for field in ["constant", "interpolated", "linear"] {
+            let of = |gridstep| values[&["rms quality", normals, field, gridstep]];
+            assert!(of("0.25") < 0.7 * of("1"), "{normals} {field}");
+        }
+    }
+}
+
+#[test]
+fn the_page_says_nothing_of_the_machine() {
+    let page = text(quick(), "README.md");
+    let folder = quick().display().to_string();
+    let home = env!("CARGO_MANIFEST_DIR");
+    for unwanted in [folder.as_str(), home, "/tmp", "/home"] {
+        assert!(!page.contains(unwanted), "{unwanted}");
+    }
+}
+
+#[test]
 fn runs_that_are_there_are_not_repeated() {
     let folder = tempfile::tempdir().unwrap();
     let more = ["--figure", "5", "--finest", "1"];
@@ -127,14 +174,14 @@ fn runs_that_are_there_are_not_repeated() {
     let first = paper(folder.path(), &more);
     assert!(first.status.success(), "{}", told(&first));
     assert!(!told(&first).contains("there already"));
-    let page = text(folder.path(), "index.md");
+    let page = text(folder.path(), "README.md");
     let second = paper(folder.path(), &more);
     assert_eq!(
         told(&second).matches("there already").count(),
         told(&second).matches("processor").count()
     );
     assert!(told(&second).contains("there already"));
-    assert_eq!(text(folder.path(), "index.md"), page);
+    assert_eq!(text(folder.path(), "README.md"), page);
 
     // A run that was killed between its table and its record is made again.
     let runs = folder.path().join("runs");

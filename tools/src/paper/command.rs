@@ -11,10 +11,13 @@ use clap::Args;
 use super::page::{self, Section};
 use super::runs::{Run, Runner};
 use super::study::{Results, Study, Volume, run_all};
-use super::{convergence, directions, noise, pictures, stability, times};
+use super::{convergence, directions, fields, noise, pictures, rates, shapes, stability, times};
 
 /// The finest gridstep of a quick run.
 const QUICK: f64 = 0.25;
+
+/// The figure that shows the time of runs.
+const TIMED: u32 = 19;
 
 /// A group of runs, and what is made of them.
 struct Figure {
@@ -76,6 +79,11 @@ const FIGURES: &[Figure] = &[
         section: convergence::comparison_gaussian,
     },
     Figure {
+        numbers: &[8, 14],
+        runs: convergence::comparison_runs,
+        section: rates::section,
+    },
+    Figure {
         numbers: &[15],
         runs: pictures::accuracy_runs,
         section: pictures::accuracy_gaussian,
@@ -107,8 +115,13 @@ const FIGURES: &[Figure] = &[
     },
     Figure {
         numbers: &[],
-        runs: convergence::others_runs,
-        section: convergence::others,
+        runs: shapes::runs,
+        section: shapes::section,
+    },
+    Figure {
+        numbers: &[],
+        runs: fields::runs,
+        section: fields::section,
     },
     Figure {
         numbers: &[],
@@ -120,10 +133,14 @@ const FIGURES: &[Figure] = &[
 /// Options of `paper`.
 #[derive(Args, Clone, Debug)]
 pub struct PaperArgs {
-    /// The folder for the page, the figures and the runs; runs already there are not repeated (DIR/runs
-    /// takes gigabytes for fine gridsteps, and may be removed)
+    /// The folder for the page README.md, the figures and their numbers
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
+
+    /// The folder for the runs: those already there are not repeated; it takes gigabytes for fine
+    /// gridsteps, and may be removed [default: runs in that of the page]
+    #[arg(long, value_name = "DIR")]
+    runs: Option<PathBuf>,
 
     /// A figure of the paper, by its number; several times for several [default: all, and more]
     #[arg(long, value_name = "N")]
@@ -208,7 +225,10 @@ impl PaperArgs {
             volumes: self.volume,
             folder: self.output,
         };
-        let runner = Runner::new(study.folder.join("runs"))?;
+        let runs = self.runs.unwrap_or_else(|| study.folder.join("runs"));
+        let runner = Runner::new(runs)?;
+        std::fs::create_dir_all(&study.folder)
+            .with_context(|| study.folder.display().to_string())?;
         let workers = match self.jobs {
             Some(jobs) => jobs.into(),
             None => std::thread::available_parallelism().map_or(1, usize::from),
@@ -217,7 +237,13 @@ impl PaperArgs {
             .iter()
             .flat_map(|figure| (figure.runs)(&study))
             .collect();
-        let results = run_all(&runner, wanted, workers)?;
+        let timed = chosen.iter().any(|f| f.numbers.contains(&TIMED));
+        let alone = if timed {
+            times::runs(&study)
+        } else {
+            Vec::new()
+        };
+        let results = run_all(&runner, &alone, wanted, workers)?;
         let mut sections = Vec::new();
         for figure in chosen {
             let section = (figure.section)(&study, &results)?;
@@ -227,14 +253,25 @@ impl PaperArgs {
         }
         let introduction = introduction(&study, &runner, &results)?;
         let text = page::markdown(&introduction, &sections);
-        page::write(&study.folder, "index.md", text)?;
+        page::write(&study.folder, "README.md", text)?;
         eprintln!(
             "[{:7.1} s] {}",
             started.elapsed().as_secs_f64(),
-            study.folder.join("index.md").display()
+            study.folder.join("README.md").display()
         );
         Ok(())
     }
+}
+
+/// The options that the page depends on, as typed.
+fn said(study: &Study) -> String {
+    let quick = if study.quick { " --quick" } else { "" };
+    let volumes = if study.volumes.is_empty() {
+        ""
+    } else {
+        " --volume ..."
+    };
+    format!("{quick} --finest {}{volumes}", study.finest)
 }
 
 fn introduction(study: &Study, runner: &Runner, results: &Results) -> Result<String> {
@@ -252,9 +289,13 @@ fn introduction(study: &Study, runner: &Runner, results: &Results) -> Result<Str
          three. DGtal is the library of the paper's authors (2.1.1, development head of June 2026), measured on \
          the same voxels at the same radii; `ratio` is curvox's error over DGtal's. *plain II* are digital \
          integral invariants without measures.\n\n\
-         `cargo run --release -p curvox-tools -- paper -o DIR` makes this page again.\n",
+         Rows `paper ...` are `--method paper`, the choices of the paper's authors in DGtal; the others are curvox's \
+         defaults. Runs that would take minutes end at h = 1/16.\n\n\
+         Made by `cargo run --release -p curvox-tools -- paper -o docs/paper --runs target/paper{}`, on {}.\n",
         results.count(),
         page::gridstep(study.finest),
+        said(study),
+        std::env::consts::ARCH,
     )?;
     Ok(text)
 }

@@ -5,10 +5,11 @@ use std::fmt::Write as _;
 use anyhow::Result;
 
 use super::dgtal::{self, Quantity};
+use super::methods::{Estimator, Method};
 use super::page::{self, ErrorTable, Section, Table, compared, gridstep, slope};
 use super::plot::{Axis, Line, Panel, REFERENCE, svg};
 use super::rows::Errors;
-use super::runs::{Estimator, Method, Run};
+use super::runs::Run;
 use super::slopes::{Curve, Norm, exponent, last_three};
 use super::study::{Finished, Results, Study};
 
@@ -19,11 +20,8 @@ const THIRD: f64 = 1.0 / 3.0;
 /// The constant k' of section 6.1.4.
 const PLAIN_CONSTANT: f64 = 6.0;
 
-/// The finest gridstep of shapes other than Goursat's.
-const FINEST_OTHERS: f64 = 1.0 / 16.0;
-
-/// Other shapes of known curvature, those that DGtal knows too.
-const OTHERS: [&str; 5] = ["sphere", "torus", "ellipsoid", "rcube", "leopold"];
+/// The finest gridstep of what costs minutes at a finer one: all but the default.
+const FINEST_COSTLY: f64 = 1.0 / 16.0;
 
 /// H or G.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,29 +50,37 @@ impl Curvature {
     }
 }
 
-fn goursat(study: &Study, method: impl Fn(f64) -> Method) -> Vec<Run> {
-    let steps = study.gridsteps(0.0).into_iter();
+fn goursat(study: &Study, limit: f64, method: impl Fn(f64) -> Method) -> Vec<Run> {
+    let steps = study.gridsteps(limit).into_iter();
     steps.map(|h| Run::shape(GOURSAT, h, method(h))).collect()
 }
 
 /// The radii of section 6.1 at every gridstep.
 pub fn of_paper(study: &Study, estimator: Estimator) -> Vec<Run> {
-    goursat(study, |h| Method::of_paper(estimator, h))
+    let limit = match estimator {
+        Estimator::Ii => 0.0,
+        // DGtal's weights take several times as long, and show nothing finer here.
+        Estimator::TrivialPaper => 2.0 * FINEST_COSTLY,
+        _ => FINEST_COSTLY,
+    };
+    goursat(study, limit, |h| Method::of_paper(estimator, h))
 }
 
 fn thirds(study: &Study) -> Vec<Run> {
-    goursat(study, |h| {
+    goursat(study, FINEST_COSTLY, |h| {
         Method::corrected(Estimator::Ii, h, THIRD, 3.0, &[3.0])
     })
 }
 
 /// Plain integral invariants with r' = 6 h^exponent.
 pub fn plain(study: &Study, exponent: f64) -> Vec<Run> {
-    goursat(study, |h| Method::plain(h, exponent, &[PLAIN_CONSTANT]))
+    goursat(study, FINEST_COSTLY, |h| {
+        Method::plain(h, exponent, &[PLAIN_CONSTANT])
+    })
 }
 
 /// A quantity of the runs that gave a table.
-fn curve(
+pub fn curve(
     results: &Results,
     runs: &[Run],
     name: &str,
@@ -90,7 +96,8 @@ fn curve(
     }
 }
 
-fn of_value(curvature: Curvature) -> impl Fn(&Finished) -> Option<Errors> {
+/// Errors of H or G at the first radius.
+pub fn of_value(curvature: Curvature) -> impl Fn(&Finished) -> Option<Errors> {
     move |finished| Some(finished.measured.at.first()?.values?[curvature.index()])
 }
 
@@ -107,17 +114,17 @@ fn lines(curve: &Curve, colour: usize) -> Vec<Line> {
         .into()
 }
 
-/// How far above the largest error the powers of h begin: nearer they hide the curves.
+/// How far above the largest error there the powers of h begin: nearer they hide the curves.
 const ABOVE: f64 = 1.5;
 
 /// Powers of h through a point near the others, to compare slopes with.
 fn powers(curves: &[Curve], exponents: &[(f64, &str)]) -> Vec<Line> {
     let steps = || curves.iter().flat_map(|c| c.points.iter().map(|p| p.0));
     let (low, high) = steps().fold((f64::INFINITY, 0.0_f64), |(l, h), s| (l.min(s), h.max(s)));
+    // Where the lines begin: errors that grow are no measure of where the others are.
     let top = curves
         .iter()
-        .flat_map(|c| c.norms(Norm::Linf))
-        .map(|p| p.1)
+        .filter_map(|c| c.at(high, Norm::Linf))
         .fold(0.0, f64::max);
     let power = |&(exponent, name): &(f64, &str)| Line {
         name: format!("h^({name})"),
@@ -135,7 +142,8 @@ fn powers(curves: &[Curve], exponents: &[(f64, &str)]) -> Vec<Line> {
     }
 }
 
-fn panel(title: &str, y: &str, curves: &[(Curve, usize)], exponents: &[(f64, &str)]) -> Panel {
+/// Axes with thick and thin lines of each curve, and powers of h beside.
+pub fn panel(title: &str, y: &str, curves: &[(Curve, usize)], exponents: &[(f64, &str)]) -> Panel {
     let mut all: Vec<Line> = curves
         .iter()
         .flat_map(|(c, colour)| lines(c, *colour))
@@ -151,10 +159,11 @@ fn panel(title: &str, y: &str, curves: &[(Curve, usize)], exponents: &[(f64, &st
     }
 }
 
-const POWERS: [(f64, &str); 3] = [(THIRD, "1/3"), (0.5, "1/2"), (2.0 / 3.0, "2/3")];
+/// Powers of h that the paper draws.
+pub const POWERS: [(f64, &str); 3] = [(THIRD, "1/3"), (0.5, "1/2"), (2.0 / 3.0, "2/3")];
 
 /// How lines are drawn, for captions.
-const STROKES: &str = "Thick lines are l-infinity errors (the largest), thin lines l2 errors (root mean \
+pub const STROKES: &str = "Thick lines are l-infinity errors (the largest), thin lines l2 errors (root mean \
     square over surfels), dashed lines powers of h. As in the paper, convergence is read from right to left.";
 
 /// Figure 4: are the normals Lipschitz?
@@ -269,7 +278,9 @@ pub fn lipschitz(study: &Study, results: &Results) -> Result<Section> {
             "![delta_u against h](figure04.svg)\n\n*delta_u = max |u_i - u_j| over surfels that share a \
              linel (linels of four surfels left out), Goursat, r = 3 h^(1/2). The average of the surface \
              is not in the paper.* Numbers: [figure04.csv](figure04.csv).\n\n{}\nAngle between u and the true \
-             normal, degrees (the paper has a bound of O(h^(2/3)) for II):\n\n{}\n{refused}",
+             normal, degrees (the paper has a bound of O(h^(2/3)) for II). II normals are those of \
+             DGtal but for their orientation; VCM normals differ since points with several nearest sites are shared \
+             equally between them, where DGtal gives them to the last in the order of z, y, x:\n\n{}\n{refused}",
             table.markdown(),
             angles.table().markdown()
         ),
@@ -356,11 +367,14 @@ fn exponents(
     })
 }
 
-const NORMALS: [Estimator; 4] = [
+/// Each with our defaults, then as DGtal computes it.
+const NORMALS: [Estimator; 6] = [
     Estimator::Ii,
-    Estimator::Vcm,
-    Estimator::Trivial,
     Estimator::Paper,
+    Estimator::Vcm,
+    Estimator::VcmPaper,
+    Estimator::Trivial,
+    Estimator::TrivialPaper,
 ];
 
 const PLAIN_THIRD: &str = "plain II, r' = 6 h^(1/3)";
@@ -405,9 +419,9 @@ pub fn comparison_curves(study: &Study, results: &Results, curvature: Curvature)
 pub fn dgtal_of(curvature: Curvature) -> impl Fn(&str, f64, Norm) -> Option<f64> {
     move |name, h, norm| {
         let [mean, gaussian] = match name {
-            "ii" | "paper" => [Quantity::Mean, Quantity::Gaussian],
-            "vcm" => [Quantity::MeanVcm, Quantity::GaussianVcm],
-            "trivial" => [Quantity::MeanTrivial, Quantity::GaussianTrivial],
+            "ii" | "paper ii" => [Quantity::Mean, Quantity::Gaussian],
+            "vcm" | "paper vcm" => [Quantity::MeanVcm, Quantity::GaussianVcm],
+            "trivial" | "paper trivial" => [Quantity::MeanTrivial, Quantity::GaussianTrivial],
             PLAIN_THIRD => [Quantity::MeanPlain, Quantity::GaussianPlain],
             _ => return None,
         };
@@ -493,116 +507,66 @@ fn comparison(
             "![errors of {letter} against h]({file}.svg)\n\n*Left: corrected measures with II and VCM normals, \
              and trivial ones (the normal cycle). Right: corrected measures (u = II) and plain integral \
              invariants. Goursat, r = rho = 3 h^(1/2). {STROKES}* Numbers: [{file}.csv]({file}.csv).\n\n{}\n\
-             Rows `paper` are `--method paper`, which repeats DGtal's conventions (weights of cells at the rim \
-             of the ball, orientation of normals) and is there to show that what is left of a difference \
-             from DGtal comes from them: rows `ii` are curvox's defaults, which share cells out to surfels \
-             and orient normals away from the solid.\n\n{}",
+             **Why ours differ from DGtal's.** Rows `paper ...` are `--method paper`, which repeats DGtal's \
+             conventions; the others are curvox's defaults, which share linels and pointels out to surfels \
+             (`--weights lumped`) and orient normals away from the solid.\n\n{}\n{}",
             errors.table().markdown(),
+            differences(&curves, curvature),
             results.refusals(&comparison_runs(study))
         ),
     })
 }
 
-/// Shapes other than Goursat's.
-pub fn others_runs(study: &Study) -> Vec<Run> {
-    let shapes = if study.quick {
-        &OTHERS[..2]
-    } else {
-        &OTHERS[..]
-    };
-    let mut runs = Vec::new();
-    for shape in shapes {
-        for h in study.gridsteps(FINEST_OTHERS) {
-            for estimator in [Estimator::Ii, Estimator::Average] {
-                runs.push(Run::shape(shape, h, Method::of_paper(estimator, h)));
-            }
+/// What is left between DGtal's numbers and ours, estimator by estimator, with the reason.
+fn differences(curves: &[Curve], curvature: Curvature) -> String {
+    const REASONS: [(&str, &str); 7] = [
+        ("paper ii", "the same conventions"),
+        ("ii", "lumped weights, and orientation by the first moment"),
+        (
+            "paper vcm",
+            "a point with several nearest sites is shared equally between them, where DGtal gives it to the \
+             last in the order of z, y, x; so that mirrored volumes have mirrored normals",
+        ),
+        ("vcm", "that, and lumped weights"),
+        ("paper trivial", "the same conventions"),
+        (
+            "trivial",
+            "lumped weights: rims of DGtal's balls weigh surfels, linels and pointels differently, which trivial \
+             normals show most",
+        ),
+        (PLAIN_THIRD, "the same voxels of the ball"),
+    ];
+    let theirs = dgtal_of(curvature);
+    let mut text = String::new();
+    for (name, reason) in REASONS {
+        let Some(curve) = curves.iter().find(|c| c.name == name) else {
+            continue;
+        };
+        let ratios = Norm::BOTH.into_iter().flat_map(|norm| {
+            let points = curve.norms(norm).into_iter();
+            let theirs = &theirs;
+            points.filter_map(move |(h, ours)| Some(100.0 * (ours / theirs(name, h, norm)? - 1.0)))
+        });
+        let (low, high) = ratios.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), r| {
+            (l.min(r), h.max(r))
+        });
+        if low <= high {
+            let said = if percent(low) == percent(high) {
+                format!("{} %", percent(low))
+            } else {
+                format!("{} to {} %", percent(low), percent(high))
+            };
+            let _ = writeln!(text, "- {name}: {said} ({reason}).");
         }
     }
-    runs
+    text
 }
 
-/// See [`others_runs`].
-pub fn others(study: &Study, results: &Results) -> Result<Section> {
-    let runs = others_runs(study);
-    let steps = study.gridsteps(FINEST_OTHERS);
-    let mut body = String::new();
-    let mut panels = Vec::new();
-    let mut csv = String::new();
-    let mut flattest: Option<(f64, String)> = None;
-    for curvature in [Curvature::Mean, Curvature::Gaussian] {
-        let letter = curvature.letter();
-        let mut curves = Vec::new();
-        for estimator in [Estimator::Ii, Estimator::Average] {
-            for shape in OTHERS {
-                let of_shape: Vec<Run> = runs
-                    .iter()
-                    .filter(|run| run.solid_name() == shape && run.method.estimator == estimator)
-                    .cloned()
-                    .collect();
-                let name = format!("{shape}, {}", estimator.name());
-                let found = curve(results, &of_shape, &name, of_value(curvature));
-                if !found.points.is_empty() {
-                    curves.push(found);
-                }
-            }
-        }
-        let drawn: Vec<(Curve, usize)> = curves
-            .iter()
-            .filter(|c| c.name.ends_with(", ii"))
-            .cloned()
-            .enumerate()
-            .map(|(i, c)| (c, i))
-            .collect();
-        let title = format!("other shapes: error of {letter}, u = II");
-        panels.push(panel(
-            &title,
-            &format!("error of {letter}"),
-            &drawn,
-            &POWERS,
-        ));
-        for (curve, _) in &drawn {
-            if let Some(b) = exponent(&curve.norms(Norm::L2))
-                && flattest.as_ref().is_none_or(|(least, _)| b < *least)
-            {
-                flattest = Some((b, format!("{letter} of {}", curve.name)));
-            }
-        }
-        let errors = ErrorTable {
-            gridsteps: &steps,
-            curves: &curves,
-            dgtal: &|_, _, _| None,
-        };
-        for line in errors.csv().lines().skip(usize::from(!csv.is_empty())) {
-            let first = if csv.is_empty() { "curvature" } else { letter };
-            let _ = writeln!(csv, "{first},{line}");
-        }
-        let _ = write!(
-            body,
-            "Errors of {letter}:\n\n{}\n",
-            errors.table().markdown()
-        );
+/// With its sign; what rounds to 0 has none.
+fn percent(value: f64) -> String {
+    if value.abs() < 0.05 {
+        "0".into()
+    } else {
+        format!("{value:+.1}")
     }
-    page::write(&study.folder, "shapes.svg", svg(&panels)?)?;
-    page::write(&study.folder, "shapes.csv", csv)?;
-    let finding = match flattest {
-        Some((b, what)) if b > 0.12 => {
-            format!(
-                "with u = ii the l2 error falls on every shape; least steep is {what}, with slope {b:.2}."
-            )
-        }
-        Some((b, what)) => format!("the l2 error of {what} does not fall (slope {b:.2})."),
-        None => "too few gridsteps for slopes.".into(),
-    };
-    Ok(Section {
-        title: "Beyond the paper: other shapes".into(),
-        paper: String::new(),
-        finding,
-        body: format!(
-            "![errors on other shapes](shapes.svg)\n\n*The sphere (radius 9), the torus (6, 2), the ellipsoid (9, 6, \
-             4), a cube with round edges (x^4 + y^4 + z^4 = 9^4) and Leopold's surface; r = rho = 3 h^(1/2), down to \
-             h = {}. {STROKES}* Numbers: [shapes.csv](shapes.csv).\n\n{body}{}",
-            gridstep(steps.last().copied().unwrap_or(1.0)),
-            results.refusals(&runs)
-        ),
-    })
 }

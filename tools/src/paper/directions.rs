@@ -7,9 +7,10 @@ use glam::DVec3;
 
 use super::dgtal::{self, Quantity};
 use super::drawing::{self, bar, signed, surface};
+use super::methods::{Estimator, Method};
 use super::page::{self, Section, Table, full, gridstep, number};
 use super::rows::{Rows, Truth, UMBILIC, truth};
-use super::runs::{Estimator, Method, Run};
+use super::runs::Run;
 use super::slopes::Norm;
 use super::study::{Results, Study};
 use crate::picture::{Montage, Stick};
@@ -17,8 +18,9 @@ use crate::picture::{Montage, Stick};
 /// Shapes of the table.
 const SHAPES: [&str; 3] = ["goursat", "torus", "ellipsoid"];
 
-/// The finest gridstep of the table.
-const FINEST: f64 = 1.0 / 16.0;
+/// The finest gridsteps of the table: of the shape of the picture, which has DGtal's numbers beside,
+/// and of the others.
+const FINEST: [f64; 2] = [1.0 / 16.0, 1.0 / 8.0];
 
 const NORMALS: [Estimator; 2] = [Estimator::Vcm, Estimator::Ii];
 
@@ -33,6 +35,10 @@ fn pictured_gridstep(study: &Study) -> f64 {
     study.finest.max(if study.quick { 0.5 } else { 0.25 })
 }
 
+fn steps(study: &Study, shape: &str) -> Vec<f64> {
+    study.gridsteps(FINEST[usize::from(shape != PICTURED)])
+}
+
 fn run(shape: &str, h: f64, estimator: Estimator) -> Run {
     Run::shape(shape, h, Method::of_paper(estimator, h))
 }
@@ -41,10 +47,12 @@ fn run(shape: &str, h: f64, estimator: Estimator) -> Run {
 pub fn runs(study: &Study) -> Vec<Run> {
     let mut runs = Vec::new();
     for shape in SHAPES {
-        for h in study.gridsteps(FINEST) {
+        for h in steps(study, shape) {
             runs.extend(NORMALS.map(|estimator| run(shape, h, estimator)));
         }
     }
+    let beside = steps(study, PICTURED).into_iter();
+    runs.extend(beside.map(|h| run(PICTURED, h, Estimator::Paper)));
     runs
 }
 
@@ -133,7 +141,9 @@ pub fn section(study: &Study, results: &Results) -> Result<Section> {
         "k2: l2",
         "linf",
         "d1: rms degrees",
+        "max",
         "d2: rms degrees",
+        "max",
         "without umbilics",
     ]);
     let mut csv = Table::new(&[
@@ -155,7 +165,7 @@ pub fn section(study: &Study, results: &Results) -> Result<Section> {
     for shape in SHAPES {
         for estimator in NORMALS {
             let mut finest = None;
-            for h in study.gridsteps(FINEST) {
+            for h in steps(study, shape) {
                 let Some(finished) = results.find(&run(shape, h, estimator)) else {
                     continue;
                 };
@@ -169,7 +179,8 @@ pub fn section(study: &Study, results: &Results) -> Result<Section> {
                 let [d1, d2] = directions;
                 let share = d1.count as f64 / finished.measured.surfels as f64;
                 let mut row = vec![shape.to_owned(), estimator.name().into(), gridstep(h)];
-                row.extend([k1.l2, k1.linf, k2.l2, k2.linf, d1.l2, d2.l2].map(number));
+                row.extend([k1.l2, k1.linf, k2.l2, k2.linf].map(number));
+                row.extend([d1.l2, d1.linf, d2.l2, d2.linf].map(number));
                 row.push(format!("{:.1} %", 100.0 * share));
                 table.rows.push(row);
                 let mut row = vec![shape.to_owned(), estimator.name().into(), full(h)];
@@ -191,31 +202,7 @@ pub fn section(study: &Study, results: &Results) -> Result<Section> {
         }
     }
     page::write(&study.folder, "figure20.csv", csv.csv())?;
-    let mut beside = Table::new(&["DGtal, Goursat, u = ii"]);
-    let steps = study.gridsteps(FINEST);
-    beside
-        .header
-        .extend(steps.iter().map(|&h| format!("h = {}", gridstep(h))));
-    for (i, quantity) in [Quantity::K1, Quantity::K2].into_iter().enumerate() {
-        for norm in Norm::BOTH {
-            let theirs = |h: f64| dgtal::error(quantity, h, norm).unwrap_or(f64::NAN);
-            let ours = |h: f64| {
-                let finished = results.find(&run(PICTURED, h, Estimator::Ii))?;
-                Some(norm.of(&finished.measured.at.first()?.values?[2 + i]))
-            };
-            let name = format!("k{}: {}", i + 1, norm.name());
-            let mut row = vec![name.clone()];
-            row.extend(steps.iter().map(|&h| number(theirs(h))));
-            beside.rows.push(row);
-            let mut row = vec![format!("{name}, curvox / DGtal")];
-            row.extend(
-                steps
-                    .iter()
-                    .map(|&h| number(ours(h).unwrap_or(f64::NAN) / theirs(h))),
-            );
-            beside.rows.push(row);
-        }
-    }
+    let beside = beside(study, results);
     let picture = match drawn {
         Some(estimator) => format!(
             "![principal directions on Goursat's surface](figure20.png)\n\n*Goursat at h = {}, u = {}: above, estimated; \
@@ -239,4 +226,33 @@ pub fn section(study: &Study, results: &Results) -> Result<Section> {
             results.refusals(&runs(study))
         ),
     })
+}
+
+/// Errors of k1 and k2 beside DGtal's.
+fn beside(study: &Study, results: &Results) -> Table {
+    let steps = steps(study, PICTURED);
+    let mut table = Table::new(&["goursat, u = ii", "norm", ""]);
+    let header = steps.iter().map(|&h| format!("h = {}", gridstep(h)));
+    table.header.extend(header);
+    for (i, quantity) in [Quantity::K1, Quantity::K2].into_iter().enumerate() {
+        for norm in Norm::BOTH {
+            let mut add = |who: &str, value: &dyn Fn(f64) -> Option<f64>| {
+                let mut row = vec![format!("k{}", i + 1), norm.name().into(), who.into()];
+                let values = steps.iter().map(|&h| value(h).unwrap_or(f64::NAN));
+                row.extend(values.map(number));
+                table.rows.push(row);
+            };
+            let theirs = |h: f64| dgtal::error(quantity, h, norm);
+            add("DGtal", &theirs);
+            for estimator in [Estimator::Ii, Estimator::Paper] {
+                let ours = |h: f64| {
+                    let finished = results.find(&run(PICTURED, h, estimator))?;
+                    Some(norm.of(&finished.measured.at.first()?.values?[2 + i]))
+                };
+                add(&format!("curvox, {}", estimator.name()), &ours);
+                add("ratio", &|h| Some(ours(h)? / theirs(h)?));
+            }
+        }
+    }
+    table
 }

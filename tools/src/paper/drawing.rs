@@ -66,6 +66,6 @@ pub fn write(study: &Study, name: &str, montage: &Montage) -> Result<()> {
     page::write(
         &study.folder,
         &format!("{name}.png"),
-        montage.image().to_png()?,
+        montage.image().with_few_shades().to_png()?,
     )
 }

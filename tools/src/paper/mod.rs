@@ -2,15 +2,15 @@
 //! curvature measures*, figure by figure, and a few beyond.
 //!
 //! Comes in: a finest gridstep, and volumes if there are any at hand. Goes out: a folder with a page
-//! `index.md`, a picture (`.svg`, or `.png` for coloured surfaces) and the numbers (`.csv`) of every
-//! figure, and the folder `runs` with a table and a record for every run.
+//! `README.md`, a picture (`.svg`, or `.png` for coloured surfaces) and the numbers (`.csv`) of every
+//! figure, and a folder of runs with a table and a record for every run.
 //!
 //! ```text
 //!   figures -> runs wanted -> run_all: spawn curvox, read rows, truth, errors -> figures -> page
 //!              (shared)       (kept in runs/)                                   (plots, words)
 //! ```
 //!
-//! * [`runs`] makes runs as a user would, and is the one place that knows options of `curvox`.
+//! * [`runs`] makes runs as a user would; it and [`methods`] are the places that know options of `curvox`.
 //! * [`rows`] reads their tables and measures errors against the truth at the closest point.
 //! * [`study`] says what is asked, and makes all runs, several at a time.
 //! * [`slopes`] fits exponents, [`dgtal`] holds DGtal's numbers, [`plot`] and [`page`] draw and write.
@@ -24,6 +24,7 @@
 
 pub mod dgtal;
 pub mod drawing;
+pub mod methods;
 pub mod page;
 pub mod plot;
 pub mod rows;
@@ -34,8 +35,11 @@ pub mod subjects;
 
 pub mod convergence;
 pub mod directions;
+pub mod fields;
 pub mod noise;
 pub mod pictures;
+pub mod rates;
+pub mod shapes;
 pub mod stability;
 pub mod times;
 

@@ -4,11 +4,12 @@ use anyhow::Result;
 
 use super::convergence::Curvature;
 use super::drawing::{self, bar, surface};
+use super::methods::{Estimator, Method};
 use super::page::{self, Section, Table, full, number};
 use super::pictures::of_group;
 use super::plot::{Axis, Line, Panel, svg};
 use super::rows::{Errors, Rows};
-use super::runs::{Estimator, Method, Run};
+use super::runs::Run;
 use super::slopes::Norm;
 use super::study::{Finished, Results, Study};
 use super::subjects::{Group, Subject, origin};

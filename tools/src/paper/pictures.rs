@@ -4,9 +4,10 @@ use anyhow::Result;
 
 use super::convergence::Curvature;
 use super::drawing::{self, bar, of_goursat, signed, surface};
+use super::methods::{Estimator, Method};
 use super::page::{self, Section, Table, gridstep, number};
 use super::rows::{Rows, Truth, truth};
-use super::runs::{Estimator, Method, Run};
+use super::runs::Run;
 use super::study::{Results, Study};
 use super::subjects::{Group, Subject, origin};
 use crate::picture::{ColourMap, Montage};

@@ -2,7 +2,8 @@
 //!
 //! Panels side by side, with one legend to their right. Lines that stand for the largest error are
 //! thick and those for its root mean square thin, as in the paper; what is set beside (DGtal, powers)
-//! is dashed. Colours are those of Okabe and Ito, told apart with any colour vision. Text is left to the viewer's sans-serif, so no font is needed to draw.
+//! is dashed. Colours are those of Okabe and Ito, told apart with any colour vision. Text is left to the
+//! viewer's sans-serif, so no font is needed to draw.
 
 use std::ops::Range;
 
@@ -29,6 +30,11 @@ pub const REFERENCE: usize = 6;
 
 const PANEL: [u32; 2] = [620, 560];
 const LEGEND: u32 = 320;
+/// Pixels from the beginning of a name of a reference to its first point, and the share of the axis
+/// that has room for it.
+const NAME_WIDTH: i32 = 64;
+const NAME_ROOM: f64 = 0.13;
+
 const FONT: &str = "sans-serif";
 
 /// A line of a plot.
@@ -113,6 +119,13 @@ impl Scale {
             high,
             logarithmic,
             marks,
+        }
+    }
+
+    /// Room for names before the first points.
+    fn make_room(&mut self) {
+        if self.logarithmic {
+            self.low /= libm::pow(self.high / self.low, NAME_ROOM);
         }
     }
 
@@ -236,7 +249,13 @@ fn draw_panel(area: &Area, panel: &Panel) -> Result<()> {
         .map(|line| (line, line.points.iter().copied().filter(is_shown).collect()))
         .collect();
     let all = || shown.iter().flat_map(|(_, points)| points.iter().copied());
-    let x = Scale::of(all().map(|p| p.0), panel.x_axis, 2);
+    let mut x = Scale::of(all().map(|p| p.0), panel.x_axis, 2);
+    if shown
+        .iter()
+        .any(|(line, points)| line.colour == REFERENCE && !points.is_empty())
+    {
+        x.make_room();
+    }
     let y = Scale::of(all().map(|p| p.1), Axis::Logarithmic, 3);
     let mut chart = ChartBuilder::on(area)
         .caption(&panel.title, (FONT, 24))
@@ -255,13 +274,14 @@ fn draw_panel(area: &Area, panel: &Panel) -> Result<()> {
         .axis_style(RGBColor(60, 60, 60))
         .draw()
         .map_err(drawing)?;
-    for (line, points) in shown {
+    // References below what they are there for.
+    let (below, above): (Vec<_>, Vec<_>) = shown
+        .into_iter()
+        .partition(|(line, _)| line.colour == REFERENCE);
+    let mut names = Vec::new();
+    for (line, points) in below.into_iter().chain(above) {
         if let (REFERENCE, Some(&end)) = (line.colour, points.first()) {
-            let place = EmptyElement::at(end);
-            let name = Text::new(line.name.clone(), (8, -24), (FONT, 17));
-            chart
-                .draw_series(std::iter::once(place + name))
-                .map_err(drawing)?;
+            names.push((line.name.clone(), end));
         }
         if line.dashed {
             let dashes = DashedLineSeries::new(points, 9, 7, style(line));
@@ -274,6 +294,10 @@ fn draw_panel(area: &Area, panel: &Panel) -> Result<()> {
             let markers = points.into_iter().map(|p| Circle::new(p, size, filled));
             chart.draw_series(markers).map_err(drawing)?;
         }
+    }
+    for (name, end) in names {
+        let label = EmptyElement::at(end) + Text::new(name, (-NAME_WIDTH, -9), (FONT, 17));
+        chart.draw_series([label]).map_err(drawing)?;
     }
     Ok(())
 }

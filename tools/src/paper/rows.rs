@@ -223,6 +223,8 @@ pub struct AtRadius {
     pub directions: Option<[Errors; 2]>,
     /// Root mean square of the differences of H, and of G, between neighbours.
     pub roughness: [f64; 2],
+    /// Root mean square of the quality of the normals; none where it was not asked for.
+    pub quality: Option<f64>,
 }
 
 /// What is measured on a run.
@@ -273,6 +275,8 @@ impl Measured {
                 values: judged.as_ref().map(|judged| judged.values),
                 directions: judged.and_then(|judged| judged.directions),
                 roughness,
+                quality: (!columns.quality.is_empty())
+                    .then(|| Errors::of(columns.quality.iter().map(|&q| f64::from(q))).l2),
             });
         }
         let normals = truth.map(|truth| {

@@ -8,8 +8,7 @@
 //!   curvox shape goursat --gridstep 0.25 | curvox run - --threshold 1 ... -o runs/NAME.parquet
 //! ```
 //!
-//! This is the one place that knows options of `curvox`. Lengths are typed in voxels (`vx`), since
-//! shapes carry no unit. Each run is given one thread, so that its processor time is that of one
+//! This and [`super::methods`] are the places that know options of `curvox`. Each run is given one thread, so that its processor time is that of one
 //! thread, and several runs can go on side by side.
 
 use std::fmt::Write as _;
@@ -22,136 +21,13 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail, ensure};
 use serde::{Deserialize, Serialize};
 
+use super::methods::Method;
+
 /// Seed of all noise.
 const SEED: u32 = 1;
 
 /// The exit code of `curvox` for what cannot be asked.
 const USAGE: i32 = 2;
-
-/// Methods of estimating curvatures that the figures compare.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Estimator {
-    /// Corrected measures, normals by digital integral invariants: what curvox does by default.
-    Ii,
-    /// The same as the paper's authors compute it: `--method paper`.
-    Paper,
-    /// Corrected measures, normals by Voronoi covariance.
-    Vcm,
-    /// Corrected measures, normals by averaging the surface.
-    Average,
-    /// Trivial normals: the normal cycle.
-    Trivial,
-    /// Plain digital integral invariants, without measures.
-    PlainIi,
-}
-
-impl Estimator {
-    /// A short name for tables and files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Estimator::Ii => "ii",
-            Estimator::Paper => "paper",
-            Estimator::Vcm => "vcm",
-            Estimator::Average => "average",
-            Estimator::Trivial => "trivial",
-            Estimator::PlainIi => "plain II",
-        }
-    }
-
-    /// The name in a sentence.
-    pub fn phrase(self) -> &'static str {
-        match self {
-            Estimator::Ii => "corrected measures, u = II",
-            Estimator::Paper => "corrected measures, u = II, as DGtal computes them",
-            Estimator::Vcm => "corrected measures, u = VCM",
-            Estimator::Average => "corrected measures, u = average of the surface",
-            Estimator::Trivial => "normal cycle (u = n)",
-            Estimator::PlainIi => "plain integral invariants",
-        }
-    }
-
-    fn options(self) -> &'static [&'static str] {
-        match self {
-            Estimator::Ii => &[],
-            Estimator::Paper => &["--method", "paper"],
-            Estimator::Vcm => &["--normals", "vcm"],
-            Estimator::Average => &["--normals", "average"],
-            Estimator::Trivial => &["--normals", "trivial"],
-            Estimator::PlainIi => &["--curvature", "ii"],
-        }
-    }
-}
-
-/// An estimator with its radii, in voxels.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Method {
-    /// How.
-    pub estimator: Estimator,
-    /// Radius r of the normals; none where there are none to estimate.
-    pub normal_radius: Option<f64>,
-    /// Radii rho of the measures, or r' of plain integral invariants.
-    pub radii: Vec<f64>,
-}
-
-/// `constant` h^`exponent` in voxels of edge h.
-fn in_voxels(constant: f64, exponent: f64, gridstep: f64) -> f64 {
-    // A square root is exact where it can be, so that 3 h^(1/2) is 6 voxels at h = 1/4.
-    if exponent == 0.5 {
-        constant / gridstep.sqrt()
-    } else {
-        constant * libm::pow(gridstep, exponent - 1.0)
-    }
-}
-
-impl Method {
-    /// Corrected measures with r = k h^`exponent` and rho = m h^`exponent` for each m.
-    pub fn corrected(
-        estimator: Estimator,
-        gridstep: f64,
-        exponent: f64,
-        normals: f64,
-        measures: &[f64],
-    ) -> Self {
-        let voxels = |constant| in_voxels(constant, exponent, gridstep);
-        Method {
-            estimator,
-            normal_radius: (estimator != Estimator::Trivial).then(|| voxels(normals)),
-            radii: measures.iter().map(|&m| voxels(m)).collect(),
-        }
-    }
-
-    /// The radii of section 6.1: r = rho = 3 h^(1/2).
-    pub fn of_paper(estimator: Estimator, gridstep: f64) -> Self {
-        Self::corrected(estimator, gridstep, 0.5, 3.0, &[3.0])
-    }
-
-    /// Plain integral invariants with r' = k' h^`exponent` for each k'.
-    pub fn plain(gridstep: f64, exponent: f64, constants: &[f64]) -> Self {
-        Method {
-            estimator: Estimator::PlainIi,
-            normal_radius: None,
-            radii: constants
-                .iter()
-                .map(|&k| in_voxels(k, exponent, gridstep))
-                .collect(),
-        }
-    }
-
-    fn options(&self) -> Vec<String> {
-        let mut options: Vec<String> = Vec::new();
-        options.extend(self.estimator.options().iter().map(ToString::to_string));
-        if let Some(radius) = self.normal_radius {
-            options.extend(["--normal-radius".into(), format!("{radius}vx")]);
-        }
-        let radii: Vec<_> = self.radii.iter().map(|r| format!("{r}vx")).collect();
-        options.extend(["--radius".into(), radii.join(",")]);
-        // They would double the tables of many radii, where nobody asks for them.
-        if self.estimator != Estimator::PlainIi && self.radii.len() == 1 {
-            options.push("--directions".into());
-        }
-        options
-    }
-}
 
 /// What a solid is made from.
 #[derive(Clone, Debug, PartialEq)]
@@ -335,8 +211,9 @@ pub struct Record {
     pub wall_seconds: f64,
     /// Processor seconds, user and system, of `curvox run` alone; none where that is not known.
     pub cpu_seconds: Option<f64>,
-    /// Most memory resident at once; none where that is not known.
-    pub peak_bytes: Option<u64>,
+    /// Processes that wanted a processor of the machine at its end, averaged over a minute (this run
+    /// is one); none where that is not known.
+    pub load: Option<f64>,
 }
 
 /// How a run ended.
@@ -424,7 +301,6 @@ impl Runner {
             message,
             wall_seconds,
             cpu_seconds,
-            peak_bytes,
         } = self.spawn(run, &table).with_context(|| command.clone())?;
         if status.code() == Some(USAGE) {
             let first = message.lines().next().unwrap_or_default();
@@ -439,7 +315,7 @@ impl Runner {
             program: self.identity.clone(),
             wall_seconds,
             cpu_seconds,
-            peak_bytes,
+            load: load(),
         };
         // Whole or not at all, for the next time relies on it.
         let unfinished = record_path.with_extension("unfinished");
@@ -500,7 +376,6 @@ struct Spent {
     message: String,
     wall_seconds: f64,
     cpu_seconds: Option<f64>,
-    peak_bytes: Option<u64>,
 }
 
 fn text_of(child: &mut Child) -> Result<String> {
@@ -533,18 +408,11 @@ fn wait(child: Child, started: Instant) -> Result<Spent> {
         }
     }
     let seconds = |t: libc::timeval| t.tv_sec as f64 + t.tv_usec as f64 * 1e-6;
-    // Linux counts in KiB, others in bytes or not at all.
-    let peak_bytes = cfg!(target_os = "linux").then(|| {
-        u64::try_from(usage.ru_maxrss)
-            .unwrap_or_default()
-            .saturating_mul(1024)
-    });
     Ok(Spent {
         status: ExitStatus::from_raw(status),
         message: String::new(),
         wall_seconds: started.elapsed().as_secs_f64(),
         cpu_seconds: Some(seconds(usage.ru_utime) + seconds(usage.ru_stime)),
-        peak_bytes,
     })
 }
 
@@ -556,8 +424,13 @@ fn wait(mut child: Child, started: Instant) -> Result<Spent> {
         message: String::new(),
         wall_seconds: started.elapsed().as_secs_f64(),
         cpu_seconds: None,
-        peak_bytes: None,
     })
+}
+
+/// The load average of the last minute, where the system tells it.
+fn load() -> Option<f64> {
+    let text = fs::read_to_string("/proc/loadavg").ok()?;
+    text.split_whitespace().next()?.parse().ok()
 }
 
 fn find_program() -> Result<PathBuf> {
@@ -594,18 +467,7 @@ fn find_program() -> Result<PathBuf> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn radii_are_those_of_the_paper() {
-        let method = Method::of_paper(Estimator::Ii, 0.25);
-        assert_eq!(method.normal_radius, Some(6.0));
-        assert_eq!(method.radii, [6.0]);
-        // 6 (1/8)^(1/3) = 3 units are 24 voxels.
-        let plain = Method::plain(0.125, 1.0 / 3.0, &[6.0]);
-        assert!((plain.radii[0] - 24.0).abs() < 1e-12);
-        let trivial = Method::of_paper(Estimator::Trivial, 1.0);
-        assert!(!trivial.options().contains(&"--normal-radius".to_owned()));
-    }
+    use crate::paper::methods::{Estimator, Field};
 
     #[test]
     fn every_command_line_has_a_name_of_its_own() {
@@ -619,7 +481,11 @@ mod tests {
             ..run.clone()
         };
         let other = Run::shape("goursat", 0.5, Method::of_paper(Estimator::Average, 0.5));
-        let stems = [&run, &noisy, &closed, &other].map(Run::file_stem);
+        let linear = Run {
+            method: Method::of_paper(Estimator::Ii, 0.5).with(Field::Linear),
+            ..run.clone()
+        };
+        let stems = [&run, &noisy, &closed, &other, &linear].map(Run::file_stem);
         for (i, stem) in stems.iter().enumerate() {
             assert!(!stems[..i].contains(stem), "{stem}");
             assert!(stem.starts_with("goursat-h0-5-"));

@@ -3,10 +3,11 @@
 use anyhow::Result;
 
 use super::convergence::Curvature;
+use super::methods::{Estimator, Method};
 use super::page::{self, Section, Table, full, gridstep, number};
 use super::plot::{Axis, HeatMap, Line, Panel, heat_maps, svg};
 use super::rows::Errors;
-use super::runs::{Estimator, Method, Run};
+use super::runs::Run;
 use super::slopes::Norm;
 use super::study::{Results, Study};
 
@@ -188,7 +189,9 @@ pub fn section(study: &Study, results: &Results) -> Result<Section> {
                     .collect();
                 let most = near.iter().copied().fold(0.0, f64::max);
                 let least = near.iter().copied().fold(f64::INFINITY, f64::min);
-                plain_spread = Some((h, most / least));
+                if near.len() > 1 {
+                    plain_spread = Some((h, most / least));
+                }
                 for &(k, linf) in &points {
                     let l2 = errors(results, &run, place(constants, k)).map_or(f64::NAN, |e| e.l2);
                     csv.rows.push(vec![

@@ -50,7 +50,7 @@ impl Study {
 
     /// Width of one picture of several, in pixels.
     pub fn picture_width(&self) -> u32 {
-        if self.quick { 200 } else { 360 }
+        if self.quick { 200 } else { 230 }
     }
 }
 
@@ -138,11 +138,17 @@ impl TruthShelf {
     }
 }
 
-/// Makes all runs, several at a time, and measures them. Tells each on standard error.
+/// Makes all runs and measures them: first those whose time counts, one after the other, then the rest,
+/// several at a time. Tells each on standard error.
 ///
 /// # Errors
 /// If a run fails, or its table cannot be read.
-pub fn run_all(runner: &Runner, wanted: Vec<Run>, workers: usize) -> Result<Results> {
+pub fn run_all(
+    runner: &Runner,
+    alone: &[Run],
+    wanted: Vec<Run>,
+    workers: usize,
+) -> Result<Results> {
     let started = Instant::now();
     let mut distinct: Vec<Run> = Vec::new();
     let mut seen = std::collections::BTreeSet::new();
@@ -164,7 +170,9 @@ pub fn run_all(runner: &Runner, wanted: Vec<Run>, workers: usize) -> Result<Resu
             .then_with(|| b.work().total_cmp(&a.work()))
     });
     let total = distinct.len();
-    let queue = Mutex::new(VecDeque::from(distinct));
+    let is_alone = |run: &Run| alone.contains(run);
+    let (first, rest) = distinct.into_iter().partition::<Vec<Run>, _>(is_alone);
+    let queue = Mutex::new(VecDeque::from(first));
     let results = Mutex::new(Results::default());
     let failure: Mutex<Option<anyhow::Error>> = Mutex::new(None);
     let shelf = TruthShelf::default();
@@ -219,6 +227,8 @@ pub fn run_all(runner: &Runner, wanted: Vec<Run>, workers: usize) -> Result<Resu
             eprintln!("[{elapsed:7.1} s] {done}/{total} {}: {told}", run.label());
         }
     };
+    work()?;
+    lock(&queue).extend(rest);
     std::thread::scope(|scope| {
         for _ in 0..workers.max(1) {
             scope.spawn(|| {

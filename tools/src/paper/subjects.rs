@@ -1,6 +1,7 @@
 //! Digital shapes to look at: the user's volumes, or shapes of curvox in their place.
 
-use super::runs::{Method, Run, Solid};
+use super::methods::Method;
+use super::runs::{Run, Solid};
 use super::study::Study;
 
 /// Shapes that stand in for the paper's: round arms and blunt ends for the dragon, and a gyroid that

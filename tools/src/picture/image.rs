@@ -34,6 +34,17 @@ impl Image {
         self.pixels[y * self.size[0] + x]
     }
 
+    /// The same with each channel rounded to one of 52 values: smaller files, and steps too small to be
+    /// seen as lines.
+    #[must_use]
+    pub fn with_few_shades(mut self) -> Self {
+        // 51 steps of 5 from black to white, which stay as they are.
+        for channel in self.pixels.as_flattened_mut() {
+            *channel = ((u16::from(*channel) + 2) / 5 * 5) as u8;
+        }
+        self
+    }
+
     /// The pixels of row `y`.
     pub(super) fn row(&self, y: usize) -> &[[u8; 3]] {
         &self.pixels[y * self.size[0]..][..self.size[0]]
