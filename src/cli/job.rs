@@ -45,7 +45,12 @@ pub(crate) struct ResourceArgs {
     threads: Option<u16>,
 
     /// Edge of the bricks in voxels, 8 to 1024 [default: from the memory]
-    #[arg(long, value_name = "N", help_heading = "Resources")]
+    #[arg(
+        long,
+        value_name = "N",
+        allow_negative_numbers = true,
+        help_heading = "Resources"
+    )]
     pub(crate) brick: Option<i32>,
 }
 
@@ -134,6 +139,9 @@ impl JobArgs {
             conventions: conventions::sentences(self.method.closed, method.curvature),
         };
         info.check()?;
+        if let Some(given) = &mut settings.given {
+            given.compare(&info);
+        }
         let binarizer = Binarizer::new(criterion, header.voxel, header.byte_order, header.scaling);
         Ok(Job {
             binarizer,

@@ -96,7 +96,12 @@ pub(crate) struct MeshArgs {
 
     /// Radius of the balls the measures are summed over, in units of the mesh, or with % of the
     /// diagonal of its bounding box [default: 3 times the mean length of the edges]
-    #[arg(long, value_name = "LENGTH", help_heading = "Method")]
+    #[arg(
+        long,
+        value_name = "LENGTH",
+        allow_hyphen_values = true,
+        help_heading = "Method"
+    )]
     radius: Option<Radius>,
 
     /// Give the principal directions too (columns d1x ... d2z)

@@ -15,6 +15,7 @@
 //! A value that is missing or beyond 2^63, a normal of length 0 or not finite, and a side that is
 //! not 1 or -1 are errors that name the row.
 
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::Read;
 use std::ops::Range;
@@ -34,8 +35,10 @@ use parquet::arrow::arrow_reader::{
 };
 use parquet::basic::Compression;
 use parquet::file::statistics::Statistics;
+use serde_json::{Value, json};
 
 use super::error::SinkError;
+use super::info::TableInfo;
 use super::read::{Check, OutputInfo, damaged};
 
 /// The columns read, in the order in which they are used.
@@ -52,12 +55,17 @@ pub const GIVEN_READ_BYTES: u64 = 24 << 20;
 pub struct NormalTable {
     path: PathBuf,
     files: Vec<NormalFile>,
+    /// What the metadata of curvox say of the image the table was made of.
+    made_of: BTreeMap<String, Value>,
+    /// How that image differs from another; see [`NormalTable::compare`].
+    differences: Vec<String>,
 }
 
 #[derive(Clone, Debug, PartialEq)]
 struct NormalFile {
     path: PathBuf,
     groups: Vec<Group>,
+    rows: u64,
 }
 
 /// A row group.
@@ -99,14 +107,48 @@ impl NormalTable {
         } else {
             vec![path.to_owned()]
         };
-        let files = paths
+        let files: Vec<NormalFile> = paths
             .into_iter()
             .map(NormalFile::open)
             .collect::<Result<_, _>>()?;
+        let made_of = match files.first() {
+            Some(file) => made_of(&file.metadata()?),
+            None => BTreeMap::new(),
+        };
         Ok(Self {
             path: path.to_owned(),
             files,
+            made_of,
+            differences: Vec::new(),
         })
+    }
+
+    /// Notes how the image the table was made of, if its metadata say so, differs from another.
+    pub fn compare(&mut self, other: &TableInfo) {
+        let all = [
+            ("dims", json!(other.dims)),
+            ("spacing", json!(other.spacing)),
+            ("inside", other.parameters["inside"].clone()),
+            ("closed", other.parameters["closed"].clone()),
+        ];
+        let differences = all.into_iter().filter_map(|(name, here)| {
+            let there = self.made_of.get(name).filter(|there| **there != here)?;
+            Some(format!("{name} {there} in the table, {here} here"))
+        });
+        self.differences = differences.collect();
+    }
+
+    /// The differences noted, in words.
+    #[must_use]
+    pub fn differences(&self) -> &[String] {
+        &self.differences
+    }
+
+    /// Rows in all files.
+    #[must_use]
+    pub fn rows(&self) -> u64 {
+        let rows = self.files.iter().map(|f| f.rows);
+        rows.fold(0, u64::saturating_add)
     }
 
     /// Memory held while the table is open and read.
@@ -178,6 +220,7 @@ impl NormalFile {
         let mut file = Self {
             path,
             groups: Vec::new(),
+            rows: 0,
         };
         let metadata = file.metadata()?;
         for (i, name) in COLUMNS.iter().enumerate() {
@@ -235,6 +278,7 @@ impl NormalFile {
             });
             first = first.saturating_add(rows);
         }
+        file.rows = first;
         Ok(file)
     }
 
@@ -282,6 +326,31 @@ impl NormalFile {
             .build()
             .map_err(|error| damaged(&self.path, "rows", error, "a table"))
     }
+}
+
+/// What the metadata of curvox say of the image a table was made of.
+fn made_of(metadata: &ArrowReaderMetadata) -> BTreeMap<String, Value> {
+    let entries = metadata.metadata().file_metadata().key_value_metadata();
+    let mut found = BTreeMap::new();
+    for entry in entries.into_iter().flatten() {
+        let text = entry.value.as_deref().unwrap_or_default();
+        let Ok(value) = serde_json::from_str::<Value>(text) else {
+            continue;
+        };
+        match entry.key.as_str() {
+            "curvox.dims" => drop(found.insert("dims".into(), value)),
+            "curvox.spacing" => drop(found.insert("spacing".into(), value)),
+            "curvox.parameters" => {
+                for name in ["inside", "closed"] {
+                    if let Some(value) = value.get(name) {
+                        found.insert(name.into(), value.clone());
+                    }
+                }
+            }
+            _ => {}
+        }
+    }
+    found
 }
 
 /// Whether pages in a codec can be read.

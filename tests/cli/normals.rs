@@ -413,6 +413,105 @@ fn what_is_said_of_opposed_normals_is_about_those_asked_for() {
     }
 }
 
+/// What a run says at its end.
+fn said(place: &Place, options: &[&str]) -> String {
+    let (ball, out) = (place.text("ball.nii"), place.text("said.parquet"));
+    let asked = ["run", &ball, "-o", &out, "--overwrite"];
+    let ended = curvox(&[&asked[..], &BALL, options].concat()).end();
+    assert_eq!(ended.code, 0, "{}", ended.err);
+    ended.err
+}
+
+#[test]
+fn normals_that_are_reversed_or_missing_are_said_with_the_reason() {
+    let place = Place::with_ball();
+    let first = run(&place, "first.parquet", &[]);
+    let mut given = normals_of(&first);
+    for row in &mut given {
+        row.normal = row.normal.map(|x| -x);
+    }
+    write(&place.path("in.parquet"), columns(&given), true, 100_000);
+    let text = said(&place, &["--normals-from", &place.text("in.parquet")]);
+    assert!(text.contains("reverse them"), "{text}");
+    let text = said(&place, &["--normals-from", &place.text("first.parquet")]);
+    assert!(!text.contains("reverse them"), "{text}");
+
+    // The ball is smaller than the ball of its normals.
+    let wide = ["--normals", "average", "--normal-radius", "38vx"];
+    let text = said(&place, &wide);
+    assert!(
+        text.contains("`degenerate_normal`") && text.contains("island"),
+        "{text}"
+    );
+    // All outside of the small range is inside, so the border is closed by caps.
+    let outside = ["--normals", "gradient", "--closed", "--radius", "2vx"];
+    let (ball, out) = (place.text("ball.nii"), place.text("out.parquet"));
+    let asked = ["run", &ball, "-o", &out, "--below", "1"];
+    let text = curvox(&[&asked[..], &outside].concat()).end().err;
+    assert!(
+        text.contains("`degenerate_normal`") && text.contains("--closed"),
+        "{text}"
+    );
+    assert!(text.contains("looks like a mask"), "{text}");
+    let text = said(&place, &["--closed"]);
+    assert!(!text.contains("`degenerate_normal`"), "{text}");
+    assert!(!text.contains("mask"), "{text}");
+}
+
+#[test]
+fn gradients_of_a_mask_are_warned_of_and_those_of_grey_values_are_not() {
+    let place = Place::with_ball();
+    let text = said(&place, &["--normals", "gradient"]);
+    assert!(
+        text.contains("is 1 inside every surfel and 0 outside"),
+        "{text}"
+    );
+    let (grey, out) = (place.text("grey.nii"), place.text("grey.parquet"));
+    let shape = ["shape", "sphere:radius=9", "--gridstep", "0.5", "--partial"];
+    curvox(&[&shape[..], &["-o", &grey]].concat()).out();
+    let asked = ["run", &grey, "--threshold", "32768", "-o", &out];
+    let ended = curvox(&[&asked[..], &["--normals", "gradient"]].concat()).end();
+    assert_eq!(ended.code, 0, "{}", ended.err);
+    assert!(!ended.err.contains("mask"), "{}", ended.err);
+    assert!(
+        ended.err.contains("gradient of sigma 1.5vx"),
+        "{}",
+        ended.err
+    );
+}
+
+#[test]
+fn a_table_of_another_threshold_or_grid_says_so_where_a_row_is_missing() {
+    let place = Place::with_ball();
+    let (other, table) = (place.text("other.nii"), place.text("other.parquet"));
+    let shape = [
+        "shape",
+        "sphere:radius=9",
+        "--gridstep",
+        "0.6",
+        "-o",
+        &other,
+    ];
+    curvox(&shape).out();
+    curvox(&["run", &other, "--range", "1..1", "--quiet", "-o", &table]).out();
+    let text = fails(&place, &["--normals-from", &table], 3);
+    for word in [
+        "found no row (",
+        "the table has",
+        "dims",
+        "spacing",
+        "inside",
+    ] {
+        assert!(text.contains(word), "{word}: {text}");
+    }
+    assert!(!text.contains("closed"), "{text}");
+    // Without metadata of an image.
+    let rows = normals_of(&rows(&place.path("other.parquet")));
+    write(&place.path("other.parquet"), columns(&rows), true, 100_000);
+    let text = fails(&place, &["--normals-from", &table], 3);
+    assert!(text.contains("of another image or threshold"), "{text}");
+}
+
 #[test]
 fn rows_of_no_surfel_are_counted() {
     let place = Place::with_ball();
