@@ -41,7 +41,7 @@ pub(crate) struct ResourceArgs {
     pub(crate) memory: u64,
 
     /// Worker threads [default: one for each processor]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Resources")]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Resources")]
     threads: Option<u16>,
 
     /// Edge of the bricks in voxels, 8 to 1024 [default: from the memory]

@@ -122,7 +122,7 @@ pub(crate) struct MeshArgs {
     overwrite: bool,
 
     /// Worker threads [default: one for each processor]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Resources")]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Resources")]
     threads: Option<u16>,
 
     /// No progress, no summary, no warnings on standard error

@@ -458,11 +458,20 @@ mod tests {
     #[test]
     fn an_empty_surface_says_which_kind() {
         let empty = ExactTotals::default();
-        assert!(advice(&empty, &[])[0].contains("no voxel is inside"));
+        let facts = Facts {
+            otsu: None,
+            input: Value::Null,
+            warnings: Vec::new(),
+            estimator: Estimator::Trivial,
+            closed: false,
+            gauss_bonnet: true,
+            name: String::new(),
+        };
+        assert!(facts.advice(&empty, &[])[0].contains("no voxel is inside"));
         let full = ExactTotals {
             inside_voxels: 8,
             ..ExactTotals::default()
         };
-        assert!(advice(&full, &[])[0].contains("every voxel is inside"));
+        assert!(facts.advice(&full, &[])[0].contains("every voxel is inside"));
     }
 }

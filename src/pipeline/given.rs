@@ -95,7 +95,7 @@ pub(super) fn of_slab(
             path: table.path().to_owned(),
             place: name(surfel.khalimsky(), sign(surfel.orientation)),
             found: format!(
-                "no row ({} of the {surfels} surfels beside it have one, and {unmatched} rows there \
+                "no row ({} of the {surfels} surfels of these planes have one, and {unmatched} rows there \
                  are of none; the table has {} rows)",
                 given.len(),
                 table.rows()
