@@ -45,7 +45,12 @@ pub(crate) struct InputArgs {
     skip: Option<u64>,
 
     /// Size of a voxel with its unit, instead of what the file says: 1,1,2um or 0.5mm
-    #[arg(long, value_name = "X,Y,Z+UNIT", help_heading = "Input")]
+    #[arg(
+        long,
+        value_name = "X,Y,Z+UNIT",
+        allow_hyphen_values = true,
+        help_heading = "Input"
+    )]
     spacing: Option<Spacing>,
 
     /// Which volume of a file with several, from 0

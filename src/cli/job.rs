@@ -41,11 +41,16 @@ pub(crate) struct ResourceArgs {
     pub(crate) memory: u64,
 
     /// Worker threads [default: one for each processor]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Resources")]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Resources")]
     threads: Option<u16>,
 
     /// Edge of the bricks in voxels, 8 to 1024 [default: from the memory]
-    #[arg(long, value_name = "N", help_heading = "Resources")]
+    #[arg(
+        long,
+        value_name = "N",
+        allow_negative_numbers = true,
+        help_heading = "Resources"
+    )]
     pub(crate) brick: Option<i32>,
 }
 
@@ -134,6 +139,9 @@ impl JobArgs {
             conventions: conventions::sentences(self.method.closed, method.curvature),
         };
         info.check()?;
+        if let Some(given) = &mut settings.given {
+            given.compare(&info);
+        }
         let binarizer = Binarizer::new(criterion, header.voxel, header.byte_order, header.scaling);
         Ok(Job {
             binarizer,

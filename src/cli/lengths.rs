@@ -93,6 +93,11 @@ impl Length {
         }
     }
 
+    /// In voxel units, if it was typed in them.
+    pub(crate) fn as_voxels(&self) -> Option<f64> {
+        self.unit.is_none().then_some(self.number)
+    }
+
     /// In voxel units, given the length of a voxel unit in the image's unit.
     ///
     /// # Errors

@@ -96,7 +96,12 @@ pub(crate) struct MeshArgs {
 
     /// Radius of the balls the measures are summed over, in units of the mesh, or with % of the
     /// diagonal of its bounding box [default: 3 times the mean length of the edges]
-    #[arg(long, value_name = "LENGTH", help_heading = "Method")]
+    #[arg(
+        long,
+        value_name = "LENGTH",
+        allow_hyphen_values = true,
+        help_heading = "Method"
+    )]
     radius: Option<Radius>,
 
     /// Give the principal directions too (columns d1x ... d2z)
@@ -117,7 +122,7 @@ pub(crate) struct MeshArgs {
     overwrite: bool,
 
     /// Worker threads [default: one for each processor]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Resources")]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Resources")]
     threads: Option<u16>,
 
     /// No progress, no summary, no warnings on standard error

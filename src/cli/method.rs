@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use crate::curvature;
 use crate::khalimsky::Adjacency;
 use crate::lattice::Lattice;
-use crate::measure::ball::{Extent, Weights};
+use crate::measure::ball::{BallKernel, Extent, Weights};
 use crate::measure::field::Field;
 use crate::normal::gradient::GradientKernel;
 use crate::normal::vcm::Side;
@@ -29,12 +29,18 @@ pub(crate) struct MethodArgs {
         long,
         value_name = "LENGTH[,LENGTH]",
         value_delimiter = ',',
+        allow_hyphen_values = true,
         help_heading = "Method"
     )]
     radius: Vec<Length>,
 
     /// Radius of the ball the normals are estimated in [default: the smallest --radius]
-    #[arg(long, value_name = "LENGTH", help_heading = "Method")]
+    #[arg(
+        long,
+        value_name = "LENGTH",
+        allow_hyphen_values = true,
+        help_heading = "Method"
+    )]
     normal_radius: Option<Length>,
 
     /// Normals: ii (digital integral invariants), vcm (Voronoi covariance measure), average (of the
@@ -49,14 +55,24 @@ pub(crate) struct MethodArgs {
     normals: Option<Normals>,
 
     /// Where vcm normals cut the cells of the surface's pointels; what is looked at reaches twice as far [default: 10/3 of the radius of the normals]
-    #[arg(long, value_name = "LENGTH", help_heading = "Method")]
+    #[arg(
+        long,
+        value_name = "LENGTH",
+        allow_hyphen_values = true,
+        help_heading = "Method"
+    )]
     voronoi_radius: Option<Length>,
 
     /// Width of the Gaussian whose derivative --normals gradient takes [default: 1.5vx]
     ///
     /// Its standard deviation; weights end at three of them. Smaller keeps finer detail, larger
     /// smooths more noise. Beyond the border of the image values are those of the nearest voxels.
-    #[arg(long, value_name = "LENGTH", help_heading = "Method")]
+    #[arg(
+        long,
+        value_name = "LENGTH",
+        allow_hyphen_values = true,
+        help_heading = "Method"
+    )]
     sigma: Option<Length>,
 
     /// Take the normals from a table: a Parquet file, or the directory of a run
@@ -361,7 +377,14 @@ impl MethodArgs {
         };
         let mut radii = Vec::with_capacity(asked.len());
         for length in asked {
-            let voxels = in_voxels("--radius", length)?;
+            let voxels = if by_invariants {
+                in_voxels("--radius", length)?
+            } else {
+                let voxels = length.in_voxels("--radius", unit, world)?;
+                BallKernel::check(voxels, lattice)
+                    .map_err(|error| usage(format!("--radius {length}: {error}")))?;
+                voxels
+            };
             radii.push(RadiusInfo {
                 label: length.to_string(),
                 voxels,
@@ -504,6 +527,25 @@ impl ResolvedMethod {
         parameters
     }
 }
+/// Normals, field and curvature of the parameters of a run, in a line for people.
+pub(crate) fn in_words(parameters: &Value) -> String {
+    let text = |key: &str| parameters[key].as_str().unwrap_or("?");
+    let mut words = text("normals").to_owned();
+    for (key, before) in [("normal_radius", " of radius "), ("sigma", " of sigma ")] {
+        if let Some(length) = parameters[key].as_str() {
+            words += &format!("{before}{length}");
+        }
+    }
+    if let Some(voxels) = parameters["voronoi_radius_voxels"].as_f64() {
+        words += &format!(" and Voronoi radius {}vx", (voxels * 1e3).round() / 1e3);
+    }
+    words
+        + &match text("curvature") {
+            "ii" => ", curvature by integral invariants".to_owned(),
+            _ => format!(", field {}, curvature by measures", text("field")),
+        }
+}
+
 /// A length for print, without the noise of its last digits.
 fn rounded(x: f64) -> f64 {
     format!("{x:.12e}").parse().unwrap_or(x)

@@ -33,7 +33,7 @@ pub(crate) struct NoiseArgs {
     /// of a voxel of the other phase in the image without noise; 1 for a voxel that has a surfel.
     /// Voxels count as cubes whatever their size, and beyond the border of the image there is no
     /// phase. P is from 0 to 0.9.
-    #[arg(long, value_name = "P")]
+    #[arg(long, value_name = "P", allow_negative_numbers = true)]
     noise: f64,
 
     /// Seed of the noise: the same input, criterion and seed give the same voxels
@@ -47,7 +47,7 @@ pub(crate) struct NoiseArgs {
 /// Adds noise.
 pub(crate) fn run(args: &NoiseArgs, stop: &AtomicBool) -> Result<()> {
     let noise = Noise::new(args.noise, args.seed).map_err(|error| usage(error.to_string()))?;
-    let format = args.output.format()?;
+    let format = args.output.format("noise")?;
     let volume = args.input.open()?;
     // Extents that the rest could not hold are refused here.
     let dims = input::lattice(&volume, false)?.dims.map(|n| n as usize);

@@ -14,6 +14,7 @@ use crate::volume::Binarizer;
 
 use super::exit;
 use super::job::{Job, JobArgs};
+use super::method::in_words;
 use super::output::Target;
 use super::sizes;
 
@@ -214,6 +215,7 @@ fn write_text(
         writeln!(out, "threshold  {otsu} (Otsu)")?;
     }
     writeln!(out, "inside     {}", job.criterion)?;
+    writeln!(out, "normals    {}", in_words(&job.info.parameters))?;
     for radius in &job.info.radii {
         writeln!(
             out,

@@ -13,6 +13,7 @@ use crate::pipeline::Outcome;
 use crate::sink::{ExactTotals, FlagCount, RadiusSummary, RunFacts, Summary, SummarySink};
 
 use super::job::Job;
+use super::method::in_words;
 use super::output::Target;
 use super::sizes;
 
@@ -28,8 +29,8 @@ pub(crate) struct Facts {
     pub(crate) otsu: Option<f64>,
     input: Value,
     warnings: Vec<String>,
-    /// What to say of normals that point inward.
-    why_opposed: &'static str,
+    estimator: Estimator,
+    closed: bool,
     /// Whether Gauss-Bonnet is a theorem for the field of the run.
     gauss_bonnet: bool,
     /// The name in front of the format's warnings, which the summary must not depend on.
@@ -91,7 +92,8 @@ impl Facts {
                 "threshold_by_otsu": job.otsu.is_some(),
             }),
             warnings,
-            why_opposed: why_opposed(job.settings.estimator),
+            estimator: job.settings.estimator,
+            closed: job.settings.lattice.closed,
             gauss_bonnet: job.settings.field != Field::Linear,
             name,
         }
@@ -124,12 +126,88 @@ impl Facts {
             exact.euler_gauss_bonnet = None;
         }
         let summary = rows.summary(RunFacts::default());
-        warnings.extend(advice(&exact, &summary.radii, self.why_opposed));
+        warnings.extend(self.advice(&exact, &summary.radii));
+        if let Some([inner, outer]) = outcome.sides.of_mask() {
+            warnings.push(format!(
+                "the value is {inner} inside every surfel and {outer} outside: the image looks like a \
+                 mask, and its gradient has the steps of its voxels; take --normals ii or average, \
+                 or the grey image it was made from"
+            ));
+        }
         RunFacts {
             exact: Some(exact),
             warnings,
             input: self.input.clone(),
         }
+    }
+
+    /// What the user should know about this surface.
+    fn advice(&self, exact: &ExactTotals, radii: &[RadiusSummary]) -> Vec<String> {
+        let mut advice = Vec::new();
+        if exact.nan_voxels > 0 {
+            advice.push(format!(
+                "{} voxels are not a number (NaN) and count as outside",
+                exact.nan_voxels
+            ));
+        }
+        if exact.surfels == 0 {
+            advice.push(if exact.inside_voxels == 0 {
+                "the surface is empty: no voxel is inside; check the threshold, range or label"
+                    .into()
+            } else {
+                "the surface is empty: every voxel is inside; check the threshold".into()
+            });
+            return advice;
+        }
+        let share = |n: u64| n as f64 / exact.surfels as f64;
+        if !exact.closed {
+            let border = radii.first().map_or(0, |r| flagged(r, "border"));
+            advice.push(format!(
+            "the surface is open at the border of the image: {border} surfels ({:.1} %) are flagged \
+             `border`, and their curvatures are cut short; --closed closes it there",
+            100.0 * share(border)
+        ));
+        }
+        for radius in radii {
+            let rows = flagged(radius, "radius_too_large");
+            if share(rows) > LARGE_RADIUS_SHARE {
+                advice.push(format!(
+                "{:.1} % of the surfels are flagged `radius_too_large` at radius {}: features are \
+                 smaller than the ball; take a smaller radius or a finer image",
+                100.0 * share(rows),
+                radius.label
+            ));
+            }
+        }
+        let opposed = radii.first().map_or(0, |r| flagged(r, "normal_opposed"));
+        // A few surfels at a corner are no reason to doubt a run.
+        if share(opposed) > 1e-3 {
+            advice.push(format!(
+            "{opposed} surfels ({:.2} %) have a normal that does not point out of the solid (flag \
+             `normal_opposed`){}",
+            100.0 * share(opposed),
+            why_opposed(self.estimator, share(opposed))
+        ));
+        }
+        let degenerate = radii.first().map_or(0, |r| flagged(r, "degenerate_normal"));
+        if share(degenerate) > 1e-3 {
+            advice.push(format!(
+            "{degenerate} surfels ({:.2} %) have the direction of their face for a normal (flag \
+             `degenerate_normal`): {}",
+            100.0 * share(degenerate),
+            why_degenerate(self.estimator, self.closed)
+        ));
+        }
+        if exact.sum_abs_k > 0 {
+            advice.push(format!(
+                "the normals wind more than a hemisphere, sum |k| = {} ({:.3} % of \
+             {} pointels): G is not reliable at the rows flagged `lifted`",
+                exact.sum_abs_k,
+                100.0 * exact.sum_abs_k as f64 / exact.pointels as f64,
+                exact.pointels
+            ));
+        }
+        advice
     }
 }
 
@@ -179,79 +257,45 @@ fn flagged(radius: &RadiusSummary, name: &str) -> u64 {
 }
 
 /// Where normals point inward, and what helps: what is said after that they do.
-fn why_opposed(estimator: Estimator) -> &'static str {
+fn why_opposed(estimator: Estimator, share: f64) -> &'static str {
     match estimator {
-        Estimator::IntegralInvariant { .. }
-        | Estimator::VoronoiCovariance { .. }
-        | Estimator::SurfaceAverage { .. } => {
+        Estimator::IntegralInvariant { .. } | Estimator::VoronoiCovariance { .. } => {
             ", mostly on parts thinner than the normal radius; of the normals, `average` suits thin \
-             parts better and `ii` smooth ones"
+             parts better"
+        }
+        Estimator::SurfaceAverage { .. } => {
+            ", mostly on parts thinner than the normal radius; a smaller one has fewer"
         }
         Estimator::Gradient { .. } => {
             ", where noise makes steps that the grey values around do not follow; a larger --sigma \
              or a smoother image has fewer"
         }
+        Estimator::Given if share > 0.5 => ": those of the table point inward; reverse them",
         Estimator::Given => ", as the table has them",
         Estimator::Trivial => "",
     }
 }
 
-/// What the user should know about this surface.
-fn advice(exact: &ExactTotals, radii: &[RadiusSummary], why_opposed: &str) -> Vec<String> {
-    let mut advice = Vec::new();
-    if exact.nan_voxels > 0 {
-        advice.push(format!(
-            "{} voxels are not a number (NaN) and count as outside",
-            exact.nan_voxels
-        ));
-    }
-    if exact.surfels == 0 {
-        advice.push(if exact.inside_voxels == 0 {
-            "the surface is empty: no voxel is inside; check the threshold, range or label".into()
-        } else {
-            "the surface is empty: every voxel is inside; check the threshold".into()
-        });
-        return advice;
-    }
-    let share = |n: u64| n as f64 / exact.surfels as f64;
-    if !exact.closed {
-        let border = radii.first().map_or(0, |r| flagged(r, "border"));
-        advice.push(format!(
-            "the surface is open at the border of the image: {border} surfels ({:.1} %) are flagged \
-             `border`, and their curvatures are cut short; --closed closes it there",
-            100.0 * share(border)
-        ));
-    }
-    for radius in radii {
-        let rows = flagged(radius, "radius_too_large");
-        if share(rows) > LARGE_RADIUS_SHARE {
-            advice.push(format!(
-                "{:.1} % of the surfels are flagged `radius_too_large` at radius {}: features are \
-                 smaller than the ball; take a smaller radius or a finer image",
-                100.0 * share(rows),
-                radius.label
-            ));
+/// Why surfels have no normal of their own.
+fn why_degenerate(estimator: Estimator, closed: bool) -> &'static str {
+    match estimator {
+        Estimator::IntegralInvariant { .. } => {
+            "the solid in their ball has no direction, as that of a speck"
         }
+        Estimator::VoronoiCovariance { .. } => {
+            "the surface around them has no outer side, as that of a sheet or a speck"
+        }
+        Estimator::SurfaceAverage { .. } => {
+            "their part of the surface is an island smaller than the ball of the normals, or its \
+             normals cancel out; a smaller --normal-radius has fewer"
+        }
+        Estimator::Gradient { .. } if closed => {
+            "values have no slope where --closed closes the surface on the border, as beyond it they \
+             are repeated, or are not finite (NaN)"
+        }
+        Estimator::Gradient { .. } => "values around have no slope or are not finite (NaN)",
+        Estimator::Given | Estimator::Trivial => "none could be found",
     }
-    let opposed = radii.first().map_or(0, |r| flagged(r, "normal_opposed"));
-    // A few surfels at a corner are no reason to doubt a run.
-    if share(opposed) > 1e-3 {
-        advice.push(format!(
-            "{opposed} surfels ({:.2} %) have a normal that does not point out of the solid (flag \
-             `normal_opposed`){why_opposed}",
-            100.0 * share(opposed)
-        ));
-    }
-    if exact.sum_abs_k > 0 {
-        advice.push(format!(
-            "the normals wind more than a hemisphere, sum |k| = {} ({:.3} % of \
-             {} pointels): G is not reliable at the rows flagged `lifted`",
-            exact.sum_abs_k,
-            100.0 * exact.sum_abs_k as f64 / exact.pointels as f64,
-            exact.pointels
-        ));
-    }
-    advice
 }
 
 /// The end of a run.
@@ -308,6 +352,7 @@ impl Report {
         if let Some(otsu) = self.otsu {
             writeln!(out, "threshold  {otsu} (Otsu)")?;
         }
+        writeln!(out, "normals    {}", in_words(&summary.parameters))?;
         writeln!(out, "surfels    {}", sizes::count(summary.rows))?;
         if let Some(exact) = &summary.exact {
             writeln!(out, "area       {} {unit}^2", number(exact.mu0))?;
@@ -413,11 +458,20 @@ mod tests {
     #[test]
     fn an_empty_surface_says_which_kind() {
         let empty = ExactTotals::default();
-        assert!(advice(&empty, &[], "")[0].contains("no voxel is inside"));
+        let facts = Facts {
+            otsu: None,
+            input: Value::Null,
+            warnings: Vec::new(),
+            estimator: Estimator::Trivial,
+            closed: false,
+            gauss_bonnet: true,
+            name: String::new(),
+        };
+        assert!(facts.advice(&empty, &[])[0].contains("no voxel is inside"));
         let full = ExactTotals {
             inside_voxels: 8,
             ..ExactTotals::default()
         };
-        assert!(advice(&full, &[], "")[0].contains("every voxel is inside"));
+        assert!(facts.advice(&full, &[])[0].contains("every voxel is inside"));
     }
 }

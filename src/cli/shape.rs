@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use anyhow::Result;
 use clap::{Args, ValueEnum};
 use curvox_formats::write::{WriteFormat, WriteSpec};
-use curvox_formats::{DType, Unit, VoxelType};
+use curvox_formats::{DType, VoxelType};
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -39,6 +39,7 @@ pub(crate) struct ShapeArgs {
         long,
         value_name = "H[,H,H]",
         value_delimiter = ',',
+        allow_hyphen_values = true,
         required_unless_present = "list"
     )]
     gridstep: Vec<f64>,
@@ -57,7 +58,7 @@ pub(crate) struct ShapeArgs {
     margin: u16,
 
     /// Flip voxels near the surface: probability P at distance 1, P^d at distance d
-    #[arg(long, value_name = "P")]
+    #[arg(long, value_name = "P", allow_negative_numbers = true)]
     noise: Option<f64>,
 
     /// Write grey values: of each voxel the part that is inside, as a scanner would see it
@@ -68,11 +69,21 @@ pub(crate) struct ShapeArgs {
     partial: bool,
 
     /// Blur of the grey values: standard deviation of a Gaussian in voxels, as 1vx
-    #[arg(long, value_name = "SIGMA", requires = "partial")]
+    #[arg(
+        long,
+        value_name = "SIGMA",
+        allow_hyphen_values = true,
+        requires = "partial"
+    )]
     blur: Option<Length>,
 
     /// Noise of the grey values after the blur: standard deviation, where inside and outside differ by 1
-    #[arg(long, value_name = "SIGMA", requires = "partial")]
+    #[arg(
+        long,
+        value_name = "SIGMA",
+        allow_negative_numbers = true,
+        requires = "partial"
+    )]
     grey_noise: Option<f64>,
 
     /// Type of the grey values: u8, u16, f32 [default: u16; u8 in a .vol]
@@ -129,7 +140,12 @@ pub(crate) fn run(args: &ShapeArgs, stop: &AtomicBool) -> Result<()> {
     let Some(spec) = args.shape.as_deref().filter(|_| !args.list) else {
         return exit::print(&list());
     };
-    let wrong = |error: ShapeError| usage(error.to_string());
+    let wrong = |error: ShapeError| match error {
+        ShapeError::Spacing { axis, value } => usage(format!(
+            "--gridstep is {value} along {axis}, expected a finite length above 0"
+        )),
+        other => usage(other.to_string()),
+    };
     let shape = by_spec(spec).map_err(wrong)?;
     let mut grid = Grid::boxes(triple("--gridstep", &args.gridstep)?);
     if !args.offset.is_empty() {
@@ -146,7 +162,7 @@ pub(crate) fn run(args: &ShapeArgs, stop: &AtomicBool) -> Result<()> {
         .map(|p| Noise::new(p, seed))
         .transpose()
         .map_err(wrong)?;
-    let format = args.output.format()?;
+    let format = args.output.format("shape")?;
     let grey = args.partial.then(|| {
         let natural = if format == WriteFormat::Vol {
             GreyType::U8
@@ -178,8 +194,11 @@ pub(crate) fn run(args: &ShapeArgs, stop: &AtomicBool) -> Result<()> {
         }),
         Some(grey) => {
             let blur = args.blur.as_ref().map(|length| {
-                // Without a unit of the world only voxels convert.
-                length.in_voxels("--blur", 1.0, Unit::Unknown)
+                length.as_voxels().ok_or_else(|| {
+                    usage(format!(
+                        "--blur {length}: shapes are in units of their own; write it in voxels, as 1vx"
+                    ))
+                })
             });
             let scanner = Scanner {
                 blur: blur.transpose()?.unwrap_or(0.0),

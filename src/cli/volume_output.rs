@@ -45,11 +45,11 @@ impl VolumeOutputArgs {
         Some(self.output.as_path()).filter(|path| *path != Path::new(STDOUT))
     }
 
-    /// The format asked for, or that of the name.
+    /// The format asked of a command, or that of the name.
     ///
     /// # Errors
     /// If the name is not that of a format that is written.
-    pub(crate) fn format(&self) -> Result<WriteFormat> {
+    pub(crate) fn format(&self, command: &str) -> Result<WriteFormat> {
         let ending = self
             .output
             .extension()
@@ -61,9 +61,10 @@ impl VolumeOutputArgs {
             (None, Some("vol")) => To::Vol,
             (None, Some("raw")) => To::Raw,
             (None, Some("gz")) => {
-                return Err(usage(
-                    "compressed volumes are not written; pipe through gzip: curvox shape ... | gzip > ball.nii.gz",
-                ));
+                return Err(usage(format!(
+                    "compressed volumes are not written; pipe through gzip: curvox {command} ... | gzip > {}",
+                    self.output.display()
+                )));
             }
             (None, Some(other)) => {
                 return Err(usage(format!(
@@ -95,7 +96,7 @@ impl VolumeOutputArgs {
             if io::stdout().is_terminal() {
                 return Err(usage(
                     "a volume is binary and standard output is a terminal; \
-                     give a file (-o ball.nii) or pipe it: curvox shape ... | curvox run - --threshold 1 -o out",
+                     give a file (-o ball.nii) or pipe it on, as into curvox run - --threshold 1 -o out",
                 ));
             }
             return write_to(io::stdout().lock(), path, volume, planes);

@@ -157,6 +157,19 @@ const SHARE_ONE: f64 = (1u64 << 48) as f64;
 const HALF_DIAGONAL: f64 = 0.708;
 
 impl BallKernel {
+    /// Whether measures can be summed over balls of a radius, in voxel units.
+    ///
+    /// # Errors
+    /// [`LatticeError::Ball`] or [`LatticeError::Radius`].
+    pub fn check(radius: f64, lattice: &Lattice) -> Result<(), LatticeError> {
+        let [x, y, z] = lattice.edges();
+        let largest = (fixed::MOST_VOXELS * x * y * z * 0.75 / std::f64::consts::PI).cbrt();
+        if radius > largest {
+            return Err(LatticeError::Ball { radius, largest });
+        }
+        lattice.metric().khalimsky_ball(radius).map(drop)
+    }
+
     /// Prepares for a radius in voxel units.
     ///
     /// # Errors
@@ -167,14 +180,9 @@ impl BallKernel {
         weights: Weights,
         lattice: &Lattice,
     ) -> Result<Self, LatticeError> {
+        Self::check(radius, lattice)?;
         let metric = lattice.metric();
         let ball = metric.khalimsky_ball(radius)?;
-        let [x, y, z] = lattice.edges();
-        let voxels = 4.0 / 3.0 * std::f64::consts::PI * radius * radius * radius / (x * y * z);
-        if voxels > fixed::MOST_VOXELS {
-            let largest = radius * (fixed::MOST_VOXELS / voxels).cbrt();
-            return Err(LatticeError::Ball { radius, largest });
-        }
         let wide = match weights {
             Weights::Dgtal => metric.wider_ball(&ball, HALF_DIAGONAL),
             Weights::Sharp | Weights::Lumped => ball,

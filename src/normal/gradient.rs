@@ -30,8 +30,10 @@
 //! was tried on shapes at partial volume with a blur of a voxel and noise of 0.1: errors of H were
 //! up to 12 times larger, and no sigma helped.
 //!
-//! Values beyond the border are those of the nearest voxel; in an open image such rows are
-//! marked `cut`. Sums run in an order that depends on the surfel alone.
+//! Values beyond the border are those of the nearest voxel. In an open image a row is marked `cut`
+//! where its surfel touches the border, or where its window leaves the image and the solid meets the
+//! border within the window: a solid clear of the border is taken to be all there is. Sums run in an
+//! order that depends on the surfel alone.
 
 use glam::DVec3;
 
@@ -39,9 +41,10 @@ use crate::dispatch::{Work, dispatch};
 use crate::khalimsky::{OrientedSurfel, axis};
 use crate::lattice::{Lattice, LatticeError};
 use crate::surfel::Surfels;
-use crate::volume::{GreyBox, GreyWindow};
+use crate::volume::{BitBox, GreyBox, GreyWindow, PlaneWindow};
 
-use super::{Normals, trivial_normal};
+use super::border::Border;
+use super::{Normals, touches_border, trivial_normal};
 
 /// Where the weights end, in sigma: the rim weighs 1.1 % of the middle. At 2 the rim would show as
 /// a preference for the axes; at 4 a normal costs more than twice as much and reaches further.
@@ -53,6 +56,49 @@ pub const MIN_SIGMA: f64 = 0.3;
 
 /// The largest sigma, in voxel units, so that windows end where balls do.
 pub const MAX_SIGMA: f64 = crate::lattice::MAX_RADIUS / TRUNCATION;
+
+/// The values on either side of surfels: the least and the largest.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sides {
+    inner: [f64; 2],
+    outer: [f64; 2],
+}
+
+impl Default for Sides {
+    fn default() -> Self {
+        let none = [f64::INFINITY, f64::NEG_INFINITY];
+        Self {
+            inner: none,
+            outer: none,
+        }
+    }
+}
+
+impl Sides {
+    fn add(&mut self, inner: f64, outer: f64) {
+        self.join(&Self {
+            inner: [inner; 2],
+            outer: [outer; 2],
+        });
+    }
+
+    /// Takes in those of other surfels, in any order.
+    pub fn join(&mut self, other: &Self) {
+        for (own, other) in [
+            (&mut self.inner, other.inner),
+            (&mut self.outer, other.outer),
+        ] {
+            *own = [own[0].min(other[0]), own[1].max(other[1])];
+        }
+    }
+
+    /// The two values, inner and outer, if all surfels lie between the same two: a mask, most likely.
+    #[must_use]
+    pub fn of_mask(&self) -> Option<[f64; 2]> {
+        let is_one = |[least, most]: [f64; 2]| least == most;
+        (is_one(self.inner) && is_one(self.outer)).then_some([self.inner[0], self.outer[0]])
+    }
+}
 
 /// Weights of consecutive voxels along an axis.
 #[derive(Clone, Debug)]
@@ -185,6 +231,7 @@ impl GradientKernel {
 
     pub(super) fn estimate(
         &self,
+        bits: &PlaneWindow,
         window: &GreyWindow,
         lattice: &Lattice,
         surfels: &Surfels,
@@ -202,6 +249,8 @@ impl GradientKernel {
             }
         }
         let values = GreyBox::cut(window, lo, hi);
+        let border =
+            (!lattice.closed).then(|| Border::count(&BitBox::cut(bits, lo, hi), lo, hi, lattice));
         let gradients = dispatch(GradientsAt {
             kernel: self,
             values: &values,
@@ -209,26 +258,29 @@ impl GradientKernel {
         });
         for (i, gradient) in gradients.into_iter().enumerate() {
             let surfel = surfels.oriented(i);
-            let step = values.value(surfel.outer()) - values.value(surfel.inner);
+            let (inner, outer) = (values.value(surfel.inner), values.value(surfel.outer()));
+            let step = outer - inner;
+            if step.abs() > 0.0 {
+                normals.sides.add(inner, outer);
+            }
             let n = trivial_normal(surfel.orientation);
             let u = direction(gradient, step);
             normals.degenerate.push(u.is_none());
-            normals.cut.push(self.is_cut(surfel, lattice));
+            normals.cut.push(border.as_ref().is_some_and(|border| {
+                let (lo, hi) = self.window(surfel);
+                touches_border(surfel, lattice) || border.is_met(lo, hi)
+            }));
             normals.u.push(u.unwrap_or(n));
         }
         normals
     }
 
-    /// Whether the window of a surfel leaves an open image.
-    fn is_cut(&self, surfel: OrientedSurfel, lattice: &Lattice) -> bool {
-        let own = axis(surfel.orientation);
-        let cell = surfel.cell();
-        !lattice.closed
-            && (0..3).any(|a| {
-                let taps = &self.taps[a][usize::from(a == own)];
-                let first = cell[a] + taps.first;
-                first < 0 || first + taps.len() as i32 > lattice.dims[a] as i32
-            })
+    /// The voxels `lo <= p < hi` that have weights.
+    fn window(&self, surfel: OrientedSurfel) -> ([i32; 3], [i32; 3]) {
+        let (own, cell) = (axis(surfel.orientation), surfel.cell());
+        let taps = |a: usize| &self.taps[a][usize::from(a == own)];
+        let lo = [0, 1, 2].map(|a| cell[a] + taps(a).first);
+        (lo, [0, 1, 2].map(|a| lo[a] + taps(a).len() as i32))
     }
 }
 

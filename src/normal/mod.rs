@@ -19,6 +19,7 @@
 //! surfel (`<u, n>` may be negative on thin parts); such rows are flagged.
 
 pub mod average;
+mod border;
 pub mod given;
 pub mod gradient;
 pub mod integral;
@@ -114,6 +115,8 @@ pub struct Normals {
     /// touches the border, its ball of voxels leaves the image where the solid meets the border, or
     /// its part of the surface meets the border.
     pub cut: Vec<bool>,
+    /// The values on either side of those surfels where they differ; of [`gradient`] alone.
+    pub sides: gradient::Sides,
 }
 
 /// An estimator made ready for a lattice.
@@ -241,7 +244,7 @@ impl NormalKernel {
             Self::Average(kernel) => kernel.estimate(window, lattice, core, surfels),
             Self::Gradient(kernel) => {
                 let grey = around.grey.expect("stored values for the gradient");
-                kernel.estimate(grey, lattice, surfels)
+                kernel.estimate(window, grey, lattice, surfels)
             }
             Self::Given => {
                 let given = around.given.expect("a table of normals");

@@ -20,5 +20,6 @@ pub fn estimate(surfels: &Surfels, lattice: &Lattice) -> Normals {
         cut: (0..count)
             .map(|i| touches_border(surfels.oriented(i), lattice))
             .collect(),
+        ..Normals::default()
     }
 }

@@ -94,8 +94,19 @@ pub(super) fn of_slab(
         return Err(SinkError::Damaged {
             path: table.path().to_owned(),
             place: name(surfel.khalimsky(), sign(surfel.orientation)),
-            found: "no row".into(),
-            expected: "a normal for every surfel".into(),
+            found: format!(
+                "no row ({} of the {surfels} surfels of these planes have one, and {unmatched} rows there \
+                 are of none; the table has {} rows)",
+                given.len(),
+                table.rows()
+            ),
+            expected: match table.differences() {
+                [] => "a normal for every surfel; the table may be of another image or threshold".into(),
+                all => format!(
+                    "a normal for every surfel; the table is of another image: {}",
+                    all.join("; ")
+                ),
+            },
         }
         .into());
     }

@@ -7,6 +7,7 @@ use rayon::ThreadPoolBuilder;
 
 use crate::error::Error;
 use crate::measure::cells::CellTotals;
+use crate::normal::gradient::Sides;
 use crate::sink::SurfelSink;
 use crate::volume::{SolidCounts, ValueType};
 
@@ -28,6 +29,8 @@ pub struct Outcome {
     pub read: ReadCounts,
     /// Rows of the table of given normals that belong to no surfel.
     pub unmatched_normals: u64,
+    /// The values on either side of the surfels, for normals made of values.
+    pub sides: Sides,
 }
 
 /// Runs the pipeline to its end: every row goes to every sink, in order, and the sinks finish.
@@ -134,6 +137,7 @@ pub fn run(
         let normals = normals.map(|found| {
             outcome.solid = found.solid;
             outcome.unmatched_normals = found.unmatched_normals;
+            outcome.sides = found.sides;
         });
         let cells = cells.map(|totals| outcome.cells = totals);
         for result in [sunk, reader, normals, cells, sums] {

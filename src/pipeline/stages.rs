@@ -17,6 +17,7 @@ use crate::measure::ball::LocalMeasures;
 use crate::measure::cells::{Asked, CellMeasures, CellTotals, Keep, mark};
 use crate::measure::surface::Surface;
 use crate::normal::Around;
+use crate::normal::gradient::Sides;
 use crate::sink::{Parts, SurfelBatch, SurfelSink};
 use crate::surfel::{CellBox, SurfelIndex, Surfels};
 use crate::volume::{BitBox, BitPlane, GreyWindow, PlaneWindow, SolidCounts};
@@ -33,6 +34,7 @@ pub(super) struct NormalBrick {
     index: SurfelIndex,
     u: Vec<DVec3>,
     marks: Vec<u8>,
+    sides: Sides,
 }
 
 /// A slab with normals.
@@ -175,6 +177,8 @@ pub(super) struct Found {
     pub(super) solid: SolidCounts,
     /// Rows of a table of normals that belong to no surfel.
     pub(super) unmatched_normals: u64,
+    /// The values on either side of the surfels, for normals made of values.
+    pub(super) sides: Sides,
 }
 
 /// Second stage: extracts the surfels of each slab and estimates their normals.
@@ -233,6 +237,7 @@ pub(super) fn normals(
                 .map(|number| normal_brick(shared, &around, grid.core(number, &(z..end))))
                 .collect()
         });
+        bricks.iter().for_each(|b| found.sides.join(&b.sides));
         // Blocks of voxels end one plane above the image.
         let blocks = z..if end == depth {
             dims[2] as i32 + 1
@@ -341,6 +346,7 @@ fn normal_brick(shared: &Shared<'_>, around: &Around<'_>, core: CellBox) -> Norm
             index,
             u: vec![],
             marks: vec![],
+            sides: Sides::default(),
         };
     }
     let surfels = Surfels::list(&index, &bits);
@@ -360,6 +366,7 @@ fn normal_brick(shared: &Shared<'_>, around: &Around<'_>, core: CellBox) -> Norm
         index,
         u: normals.u,
         marks,
+        sides: normals.sides,
     }
 }
 

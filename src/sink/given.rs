@@ -8,18 +8,24 @@
 //! or have no statistics are read whole for every slab: right, only slower. Held in memory: the
 //! ranges of the row groups, and a batch of rows.
 //!
-//! Pages may be stored as they are or in Snappy, gzip or Zstandard, as tools of tables write them
-//! by default; other codecs are refused when the table is opened.
+//! Pages may be stored as they are or in Snappy, gzip, LZ4 or Zstandard, as tools of tables write
+//! them by default; other codecs are refused when the table is opened. Whole numbers may be signed
+//! or not, of 8 to 64 bits.
 //!
-//! A value that is missing, a normal of length 0 or not finite, and a side that is not 1 or -1 are
-//! errors that name the row.
+//! A value that is missing or beyond 2^63, a normal of length 0 or not finite, and a side that is
+//! not 1 or -1 are errors that name the row.
 
+use std::collections::BTreeMap;
 use std::fs::File;
+use std::io::Read;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use arrow_array::cast::AsArray;
-use arrow_array::types::{Float32Type, Float64Type, Int8Type, Int16Type, Int32Type, Int64Type};
+use arrow_array::types::{
+    Float32Type, Float64Type, Int8Type, Int16Type, Int32Type, Int64Type, UInt8Type, UInt16Type,
+    UInt32Type, UInt64Type,
+};
 use arrow_array::{Array, ArrayRef, RecordBatch};
 use arrow_schema::DataType;
 use glam::DVec3;
@@ -29,8 +35,10 @@ use parquet::arrow::arrow_reader::{
 };
 use parquet::basic::Compression;
 use parquet::file::statistics::Statistics;
+use serde_json::{Value, json};
 
 use super::error::SinkError;
+use super::info::TableInfo;
 use super::read::{Check, OutputInfo, damaged};
 
 /// The columns read, in the order in which they are used.
@@ -47,12 +55,17 @@ pub const GIVEN_READ_BYTES: u64 = 24 << 20;
 pub struct NormalTable {
     path: PathBuf,
     files: Vec<NormalFile>,
+    /// What the metadata of curvox say of the image the table was made of.
+    made_of: BTreeMap<String, Value>,
+    /// How that image differs from another; see [`NormalTable::compare`].
+    differences: Vec<String>,
 }
 
 #[derive(Clone, Debug, PartialEq)]
 struct NormalFile {
     path: PathBuf,
     groups: Vec<Group>,
+    rows: u64,
 }
 
 /// A row group.
@@ -94,14 +107,48 @@ impl NormalTable {
         } else {
             vec![path.to_owned()]
         };
-        let files = paths
+        let files: Vec<NormalFile> = paths
             .into_iter()
             .map(NormalFile::open)
             .collect::<Result<_, _>>()?;
+        let made_of = match files.first() {
+            Some(file) => made_of(&file.metadata()?),
+            None => BTreeMap::new(),
+        };
         Ok(Self {
             path: path.to_owned(),
             files,
+            made_of,
+            differences: Vec::new(),
         })
+    }
+
+    /// Notes how the image the table was made of, if its metadata say so, differs from another.
+    pub fn compare(&mut self, other: &TableInfo) {
+        let all = [
+            ("dims", json!(other.dims)),
+            ("spacing", json!(other.spacing)),
+            ("inside", other.parameters["inside"].clone()),
+            ("closed", other.parameters["closed"].clone()),
+        ];
+        let differences = all.into_iter().filter_map(|(name, here)| {
+            let there = self.made_of.get(name).filter(|there| **there != here)?;
+            Some(format!("{name} {there} in the table, {here} here"))
+        });
+        self.differences = differences.collect();
+    }
+
+    /// The differences noted, in words.
+    #[must_use]
+    pub fn differences(&self) -> &[String] {
+        &self.differences
+    }
+
+    /// Rows in all files.
+    #[must_use]
+    pub fn rows(&self) -> u64 {
+        let rows = self.files.iter().map(|f| f.rows);
+        rows.fold(0, u64::saturating_add)
     }
 
     /// Memory held while the table is open and read.
@@ -173,14 +220,14 @@ impl NormalFile {
         let mut file = Self {
             path,
             groups: Vec::new(),
+            rows: 0,
         };
         let metadata = file.metadata()?;
         for (i, name) in COLUMNS.iter().enumerate() {
             let field = metadata.schema().field_with_name(name).ok();
             let found = field.map(|f| f.data_type());
             let (expected, usable) = if i < 4 {
-                let usable = found.is_some_and(DataType::is_signed_integer);
-                ("Int8, Int16, Int32 or Int64", usable)
+                ("whole numbers", found.is_some_and(DataType::is_integer))
             } else {
                 let usable = matches!(found, Some(DataType::Float32 | DataType::Float64));
                 ("Float32 or Float64", usable)
@@ -195,6 +242,10 @@ impl NormalFile {
                 ));
             }
         }
+        let is_unsigned = metadata
+            .schema()
+            .field_with_name("kz")
+            .is_ok_and(|f| f.data_type().is_unsigned_integer());
         let columns = metadata.parquet_schema().columns();
         let kz = columns.iter().position(|c| c.path().string() == "kz");
         let mut first = 0;
@@ -207,8 +258,8 @@ impl NormalFile {
                 return Err(damaged(
                     &file.path,
                     &format!("column {}", column.column_path().string()),
-                    format!("the codec {}", column.compression()),
-                    "no compression, SNAPPY, GZIP or ZSTD",
+                    format!("pages compressed with {}", codec_name(column.compression())),
+                    "none, snappy, gzip, lz4 or zstd",
                 ));
             }
             let rows = u64::try_from(group.num_rows()).map_err(|_| {
@@ -220,25 +271,32 @@ impl NormalFile {
                 )
             })?;
             let statistics = kz.and_then(|i| group.column(i).statistics());
-            let range = match statistics {
-                Some(Statistics::Int32(s)) => s
-                    .min_opt()
-                    .zip(s.max_opt())
-                    .map(|(a, b)| (i64::from(*a), i64::from(*b))),
-                Some(Statistics::Int64(s)) => s.min_opt().zip(s.max_opt()).map(|(a, b)| (*a, *b)),
-                _ => None,
-            };
+            let range = statistics.and_then(|s| range_of(s, is_unsigned));
             file.groups.push(Group {
                 kz: range.unwrap_or((i64::MIN, i64::MAX)),
                 first,
             });
             first = first.saturating_add(rows);
         }
+        file.rows = first;
         Ok(file)
     }
 
     fn metadata(&self) -> Result<ArrowReaderMetadata, SinkError> {
-        let file = self.file()?;
+        let mut file = self.file()?;
+        let mut start = Vec::new();
+        Read::by_ref(&mut file)
+            .take(4)
+            .read_to_end(&mut start)
+            .map_err(|e| SinkError::io(&self.path, "read", e))?;
+        if start != *b"PAR1" {
+            return Err(damaged(
+                &self.path,
+                "beginning",
+                start.escape_ascii(),
+                "PAR1, of a Parquet file; tables in CSV or other formats are not read",
+            ));
+        }
         ArrowReaderMetadata::load(&file, ArrowReaderOptions::new())
             .map_err(|error| damaged(&self.path, "footer", error, "a whole Parquet file"))
     }
@@ -270,6 +328,31 @@ impl NormalFile {
     }
 }
 
+/// What the metadata of curvox say of the image a table was made of.
+fn made_of(metadata: &ArrowReaderMetadata) -> BTreeMap<String, Value> {
+    let entries = metadata.metadata().file_metadata().key_value_metadata();
+    let mut found = BTreeMap::new();
+    for entry in entries.into_iter().flatten() {
+        let text = entry.value.as_deref().unwrap_or_default();
+        let Ok(value) = serde_json::from_str::<Value>(text) else {
+            continue;
+        };
+        match entry.key.as_str() {
+            "curvox.dims" => drop(found.insert("dims".into(), value)),
+            "curvox.spacing" => drop(found.insert("spacing".into(), value)),
+            "curvox.parameters" => {
+                for name in ["inside", "closed"] {
+                    if let Some(value) = value.get(name) {
+                        found.insert(name.into(), value.clone());
+                    }
+                }
+            }
+            _ => {}
+        }
+    }
+    found
+}
+
 /// Whether pages in a codec can be read.
 fn is_read(codec: Compression) -> bool {
     matches!(
@@ -277,8 +360,38 @@ fn is_read(codec: Compression) -> bool {
         Compression::UNCOMPRESSED
             | Compression::SNAPPY
             | Compression::GZIP(_)
+            | Compression::LZ4
+            | Compression::LZ4_RAW
             | Compression::ZSTD(_)
     )
+}
+
+/// The name of a codec, without its level.
+fn codec_name(codec: Compression) -> String {
+    let name = codec.to_string().to_ascii_lowercase();
+    name.split('(').next().unwrap_or_default().to_owned()
+}
+
+/// Smallest and largest of a column of whole numbers, by its statistics.
+fn range_of(statistics: &Statistics, is_unsigned: bool) -> Option<(i64, i64)> {
+    // Ends in the old fields were compared as signed numbers by some writers.
+    if is_unsigned && statistics.is_min_max_deprecated() {
+        return None;
+    }
+    let widened = |x: i32| {
+        if is_unsigned {
+            i64::from(x.cast_unsigned())
+        } else {
+            i64::from(x)
+        }
+    };
+    match statistics {
+        Statistics::Int32(s) => Some((widened(*s.min_opt()?), widened(*s.max_opt()?))),
+        // Beyond 2^63 there is no surfel; such rows are an error when they are read.
+        Statistics::Int64(s) => Some((*s.min_opt()?, *s.max_opt()?))
+            .filter(|(least, most)| !is_unsigned || (*least >= 0 && *most >= 0)),
+        _ => None,
+    }
 }
 
 /// The columns of a batch.
@@ -313,7 +426,21 @@ impl Columns {
                 "that of before",
             )
         };
-        let whole = |name: &str| integers(column(name)?).ok_or_else(|| changed(name));
+        let whole = |name: &str| -> Result<Vec<i64>, SinkError> {
+            let array = column(name)?;
+            if array.data_type() == &DataType::UInt64 {
+                let values = array.as_primitive::<UInt64Type>().values();
+                return signed(values).map_err(|i| {
+                    damaged(
+                        path,
+                        &format!("row {}, column {name}", first + i as u64),
+                        values[i],
+                        "a whole number below 2^63",
+                    )
+                });
+            }
+            integers(array).ok_or_else(|| changed(name))
+        };
         let real = |name: &str| floats(column(name)?).ok_or_else(|| changed(name));
         Ok(Self {
             k: [whole("kx")?, whole("ky")?, whole("kz")?],
@@ -357,7 +484,14 @@ impl Columns {
     }
 }
 
-/// Whole numbers; `None` if they are none.
+/// Numbers as signed ones, or which is the first that is too large.
+fn signed(values: &[u64]) -> Result<Vec<i64>, usize> {
+    let each = values.iter().enumerate();
+    each.map(|(i, &x)| i64::try_from(x).map_err(|_| i))
+        .collect()
+}
+
+/// Whole numbers that all fit; `None` if they are none.
 fn integers(array: &ArrayRef) -> Option<Vec<i64>> {
     macro_rules! widened {
         ($type:ty) => {{
@@ -370,6 +504,9 @@ fn integers(array: &ArrayRef) -> Option<Vec<i64>> {
         DataType::Int16 => widened!(Int16Type),
         DataType::Int32 => widened!(Int32Type),
         DataType::Int64 => widened!(Int64Type),
+        DataType::UInt8 => widened!(UInt8Type),
+        DataType::UInt16 => widened!(UInt16Type),
+        DataType::UInt32 => widened!(UInt32Type),
         _ => return None,
     })
 }

@@ -23,7 +23,27 @@ fn usage_errors_give_2() {
     let out = place.text("out");
     for (wrong, expected) in [
         (&["--threshold", "1", "--radius", "3"][..], "3vx"),
-        (&["--threshold", "1", "--radius", "64vx"], "at most 63"),
+        (
+            &["--threshold", "1", "--radius", "64vx"],
+            "--radius 64vx: a ball of measures of radius 64 voxels holds too many voxels of this \
+             shape, expected at most 39.70",
+        ),
+        (
+            &["--threshold", "1", "--radius", "40vx"],
+            "--radius 40vx: a ball of measures of radius 40 voxels",
+        ),
+        (
+            &["--threshold", "1", "--radius", "64vx", "--curvature", "ii"],
+            "at most 63",
+        ),
+        (
+            &["--threshold", "1", "--radius", "-3vx"],
+            "not a length above 0",
+        ),
+        (&["--threshold", "1", "--normal-radius", "-3vx"], "above 0"),
+        (&["--threshold", "1", "--sigma", "-1vx"], "above 0"),
+        (&["--threshold", "1", "--voronoi-radius", "-1vx"], "above 0"),
+        (&["--threshold", "1", "--spacing", "-1um"], "above 0"),
         (&["--threshold", "1", "--radius", "3um"], "--spacing"),
         (&["--threshold", "1", "--radius", "3vx,3vx"], "twice"),
         (&["--threshold", "1", "--memory", "1"], "1GiB"),

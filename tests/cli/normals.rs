@@ -3,10 +3,12 @@ use std::sync::Arc;
 
 use arrow_array::{
     ArrayRef, Float32Array, Float64Array, Int8Array, Int32Array, Int64Array, RecordBatch,
+    UInt8Array, UInt16Array, UInt32Array, UInt64Array,
 };
 use curvox::sink::{Check, OutputInfo, SurfelBatch};
 use parquet::arrow::ArrowWriter;
 use parquet::basic::{Compression, GzipLevel, ZstdLevel};
+use parquet::file::metadata::{ParquetMetaDataReader, ParquetMetaDataWriter};
 use parquet::file::properties::{EnabledStatistics, WriterProperties};
 
 use super::{Place, curvox, read};
@@ -232,6 +234,8 @@ fn normals_in_any_order_type_and_cut_give_the_same_bytes() {
     for codec in [
         Compression::SNAPPY,
         Compression::GZIP(GzipLevel::default()),
+        Compression::LZ4,
+        Compression::LZ4_RAW,
         Compression::ZSTD(ZstdLevel::default()),
     ] {
         let path = place.path("coded.parquet");
@@ -241,6 +245,131 @@ fn normals_in_any_order_type_and_cut_give_the_same_bytes() {
             "{codec}"
         );
     }
+}
+
+/// Whole numbers as unsigned ones of some width.
+fn unsigned(values: impl Iterator<Item = i32>, bits: usize) -> ArrayRef {
+    let values: Vec<u64> = values.map(|k| u64::try_from(k).unwrap()).collect();
+    match bits {
+        8 => Arc::new(UInt8Array::from_iter_values(
+            values.iter().map(|&k| k as u8),
+        )),
+        16 => Arc::new(UInt16Array::from_iter_values(
+            values.iter().map(|&k| k as u16),
+        )),
+        32 => Arc::new(UInt32Array::from_iter_values(
+            values.iter().map(|&k| k as u32),
+        )),
+        _ => Arc::new(UInt64Array::from(values)),
+    }
+}
+
+#[test]
+fn unsigned_columns_are_whole_numbers_too() {
+    let place = Place::with_ball();
+    let first = run(&place, "first.parquet", &[]);
+    let given = normals_of(&first);
+    let table = place.text("given.parquet");
+    let again = ["--normals-from", &table, "--brick", "8"];
+    write(&place.path("given.parquet"), columns(&given), true, 500);
+    run(&place, "signed.parquet", &again);
+    let expected = read(&place.path("signed.parquet"));
+    let names = ["kx", "ky", "kz"];
+    for bits in [8, 16, 32, 64] {
+        let mut all = columns(&given);
+        for a in 0..3 {
+            all[a] = (names[a], unsigned(given.iter().map(|r| r.k[a]), bits));
+        }
+        write(&place.path("given.parquet"), all, true, 500);
+        run(&place, "unsigned.parquet", &again);
+        assert!(
+            read(&place.path("unsigned.parquet")) == expected,
+            "{bits} bits"
+        );
+    }
+    // Of 32 bits, beyond those of signed ones: no surfel, and no trouble with the statistics.
+    let mut all = columns(&given);
+    let far = [[1, 1, u32::MAX], [u32::MAX, 1, 2]];
+    for a in 0..3 {
+        let k = given.iter().map(|r| r.k[a] as u32);
+        let k = k.chain(far.map(|k| k[a]));
+        all[a].1 = Arc::new(UInt32Array::from_iter_values(k));
+    }
+    let sides = given.iter().map(|r| r.side).chain([1; 2]);
+    all[3].1 = Arc::new(Int8Array::from_iter_values(sides));
+    for a in 0..3 {
+        let n = given.iter().map(|r| r.normal[a]).chain([1.0; 2]);
+        all[4 + a].1 = Arc::new(Float32Array::from_iter_values(n));
+    }
+    write(&place.path("given.parquet"), all, true, 100_000);
+    run(&place, "unsigned.parquet", &again);
+    assert!(read(&place.path("unsigned.parquet")) == expected);
+    // A number that no signed one holds.
+    let mut all = columns(&given);
+    let mut k: Vec<u64> = given.iter().map(|r| r.k[0] as u64).collect();
+    k[77] = u64::MAX;
+    all[0].1 = Arc::new(UInt64Array::from(k));
+    write(&place.path("given.parquet"), all, true, 100_000);
+    let text = fails(&place, &again, 3);
+    assert!(text.contains("row 77, column kx"), "{text}");
+}
+
+/// Has the footer of a table name Brotli, whose writer is not here, as the codec of its last group.
+fn name_brotli_in_last_group(path: &Path) {
+    let mut bytes = read(path);
+    let metadata = ParquetMetaDataReader::new()
+        .parse_and_finish(&std::fs::File::open(path).unwrap())
+        .unwrap();
+    let mut groups = metadata.row_groups().to_vec();
+    assert!(groups.len() > 1);
+    let last = groups.pop().unwrap();
+    let columns = last.columns().iter().map(|column| {
+        let codec = Compression::BROTLI(Default::default());
+        let column = column.clone().into_builder().set_compression(codec);
+        column.build().unwrap()
+    });
+    let columns = columns.collect();
+    let last = last.into_builder().set_column_metadata(columns);
+    groups.push(last.build().unwrap());
+    let changed = metadata.into_builder().set_row_groups(groups).build();
+    let size = u32::from_le_bytes(*bytes[..bytes.len() - 4].last_chunk().unwrap());
+    bytes.truncate(bytes.len() - 8 - size as usize);
+    ParquetMetaDataWriter::new(&mut bytes, &changed)
+        .finish()
+        .unwrap();
+    std::fs::write(path, bytes).unwrap();
+}
+
+#[test]
+fn a_codec_that_is_not_read_is_refused_before_anything_is_written() {
+    let place = Place::with_ball();
+    let first = run(&place, "first.parquet", &[]);
+    let given = normals_of(&first);
+    let path = place.path("given.parquet");
+    write(&path, columns(&given), true, 1000);
+    name_brotli_in_last_group(&path);
+    let (ball, table) = (place.text("ball.nii"), place.text("given.parquet"));
+    let options = ["--normals-from", &table, "--threshold", "1"];
+    let text = curvox(&[&["plan", &ball], &options[..]].concat()).fails(3);
+    assert!(text.contains("compressed with brotli"), "{text}");
+    let before = read(&place.path("first.parquet"));
+    let out = place.text("first.parquet");
+    let again = ["run", &ball, "--overwrite", "-o", &out];
+    curvox(&[&again, &options[..]].concat()).fails(3);
+    assert!(read(&place.path("first.parquet")) == before);
+}
+
+#[test]
+fn a_table_that_is_no_parquet_is_refused_by_what_it_begins_with() {
+    let place = Place::with_ball();
+    let (ball, csv) = (place.text("ball.nii"), place.text("first.csv"));
+    let asked = ["run", &ball, "--threshold", "1", "--quiet", "-o", &csv];
+    curvox(&asked).out();
+    let text = fails(&place, &["--normals-from", &csv], 3);
+    assert!(text.contains("Parquet") && text.contains("CSV"), "{text}");
+    std::fs::write(place.path("none.csv"), b"").unwrap();
+    let text = fails(&place, &["--normals-from", &place.text("none.csv")], 3);
+    assert!(text.contains("Parquet"), "{text}");
 }
 
 /// Replaces the ball by itself with noise, its first axis towards -x of the world if asked.
@@ -284,6 +413,105 @@ fn what_is_said_of_opposed_normals_is_about_those_asked_for() {
             assert_eq!(said.contains(other), helps == other, "{said}");
         }
     }
+}
+
+/// What a run says at its end.
+fn said(place: &Place, options: &[&str]) -> String {
+    let (ball, out) = (place.text("ball.nii"), place.text("said.parquet"));
+    let asked = ["run", &ball, "-o", &out, "--overwrite"];
+    let ended = curvox(&[&asked[..], &BALL, options].concat()).end();
+    assert_eq!(ended.code, 0, "{}", ended.err);
+    ended.err
+}
+
+#[test]
+fn normals_that_are_reversed_or_missing_are_said_with_the_reason() {
+    let place = Place::with_ball();
+    let first = run(&place, "first.parquet", &[]);
+    let mut given = normals_of(&first);
+    for row in &mut given {
+        row.normal = row.normal.map(|x| -x);
+    }
+    write(&place.path("in.parquet"), columns(&given), true, 100_000);
+    let text = said(&place, &["--normals-from", &place.text("in.parquet")]);
+    assert!(text.contains("reverse them"), "{text}");
+    let text = said(&place, &["--normals-from", &place.text("first.parquet")]);
+    assert!(!text.contains("reverse them"), "{text}");
+
+    // The ball is smaller than the ball of its normals.
+    let wide = ["--normals", "average", "--normal-radius", "38vx"];
+    let text = said(&place, &wide);
+    assert!(
+        text.contains("`degenerate_normal`") && text.contains("island"),
+        "{text}"
+    );
+    // All outside of the small range is inside, so the border is closed by caps.
+    let outside = ["--normals", "gradient", "--closed", "--radius", "2vx"];
+    let (ball, out) = (place.text("ball.nii"), place.text("out.parquet"));
+    let asked = ["run", &ball, "-o", &out, "--below", "1"];
+    let text = curvox(&[&asked[..], &outside].concat()).end().err;
+    assert!(
+        text.contains("`degenerate_normal`") && text.contains("--closed"),
+        "{text}"
+    );
+    assert!(text.contains("looks like a mask"), "{text}");
+    let text = said(&place, &["--closed"]);
+    assert!(!text.contains("`degenerate_normal`"), "{text}");
+    assert!(!text.contains("mask"), "{text}");
+}
+
+#[test]
+fn gradients_of_a_mask_are_warned_of_and_those_of_grey_values_are_not() {
+    let place = Place::with_ball();
+    let text = said(&place, &["--normals", "gradient"]);
+    assert!(
+        text.contains("is 1 inside every surfel and 0 outside"),
+        "{text}"
+    );
+    let (grey, out) = (place.text("grey.nii"), place.text("grey.parquet"));
+    let shape = ["shape", "sphere:radius=9", "--gridstep", "0.5", "--partial"];
+    curvox(&[&shape[..], &["-o", &grey]].concat()).out();
+    let asked = ["run", &grey, "--threshold", "32768", "-o", &out];
+    let ended = curvox(&[&asked[..], &["--normals", "gradient"]].concat()).end();
+    assert_eq!(ended.code, 0, "{}", ended.err);
+    assert!(!ended.err.contains("mask"), "{}", ended.err);
+    assert!(
+        ended.err.contains("gradient of sigma 1.5vx"),
+        "{}",
+        ended.err
+    );
+}
+
+#[test]
+fn a_table_of_another_threshold_or_grid_says_so_where_a_row_is_missing() {
+    let place = Place::with_ball();
+    let (other, table) = (place.text("other.nii"), place.text("other.parquet"));
+    let shape = [
+        "shape",
+        "sphere:radius=9",
+        "--gridstep",
+        "0.6",
+        "-o",
+        &other,
+    ];
+    curvox(&shape).out();
+    curvox(&["run", &other, "--range", "1..1", "--quiet", "-o", &table]).out();
+    let text = fails(&place, &["--normals-from", &table], 3);
+    for word in [
+        "found no row (",
+        "the table has",
+        "dims",
+        "spacing",
+        "inside",
+    ] {
+        assert!(text.contains(word), "{word}: {text}");
+    }
+    assert!(!text.contains("closed"), "{text}");
+    // Without metadata of an image.
+    let rows = normals_of(&rows(&place.path("other.parquet")));
+    write(&place.path("other.parquet"), columns(&rows), true, 100_000);
+    let text = fails(&place, &["--normals-from", &table], 3);
+    assert!(text.contains("of another image or threshold"), "{text}");
 }
 
 #[test]

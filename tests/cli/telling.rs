@@ -60,6 +60,42 @@ fn info_of_an_output_tells_its_state() {
 }
 
 #[test]
+fn normals_field_and_curvature_are_named_by_plan_and_run() {
+    let place = Place::with_ball();
+    let (ball, out) = (place.text("ball.nii"), place.text("out"));
+    for (options, line) in [
+        (
+            &["--radius", "4vx"][..],
+            "ii of radius 4vx, field constant, curvature by measures",
+        ),
+        (
+            &["--normals", "gradient", "--sigma", "2vx"],
+            "gradient of sigma 2vx, field constant,",
+        ),
+        (
+            &["--normals", "vcm", "--field", "linear"],
+            "vcm of radius 3vx and Voronoi radius 10vx, field linear,",
+        ),
+        (
+            &["--curvature", "ii", "--normals", "trivial"],
+            "trivial, curvature by integral invariants",
+        ),
+    ] {
+        let input = [&ball, "--threshold", "1"];
+        let plan = curvox(&[&["plan"], &input[..], options].concat()).out();
+        let plan = String::from_utf8(plan).unwrap();
+        assert!(plan.contains(&format!("normals    {line}")), "{plan}");
+        let into = ["-o", &out, "--overwrite"];
+        let run = curvox(&[&["run"], &input[..], &into, options].concat()).end();
+        assert!(
+            run.err.contains(&format!("normals    {line}")),
+            "{}",
+            run.err
+        );
+    }
+}
+
+#[test]
 fn the_plan_counts_what_the_run_finds() {
     let place = Place::with_ball();
     let (ball, out) = (place.text("ball.nii"), place.text("out"));

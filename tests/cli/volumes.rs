@@ -207,3 +207,42 @@ fn no_half_of_a_volume_is_left() {
         assert!(!place.path("noisy.nii").exists(), "{before:?}");
     }
 }
+
+#[test]
+fn mistakes_are_named_by_the_command_and_option_they_are_of() {
+    let place = Place::with_ball();
+    let (ball, packed) = (place.text("ball.nii"), place.text("nn.nii.gz"));
+    let noise = ["noise", &ball, "--threshold", "1", "-o", &packed];
+    let text = curvox(&[&noise[..], &["--noise", "0.1"]].concat()).fails(2);
+    assert!(
+        text.contains("curvox noise") && text.contains("nn.nii.gz"),
+        "{text}"
+    );
+    let text = curvox(&[&noise[..], &["--noise", "-0.1"]].concat()).fails(2);
+    assert!(text.contains("noise probability is -0.1"), "{text}");
+    for (options, word) in [
+        (&["--gridstep", "0"][..], "--gridstep is 0 along x"),
+        (&["--gridstep", "1,-1,1"], "--gridstep is -1 along y"),
+        (
+            &["--gridstep", "1", "--noise", "-0.1"],
+            "noise probability is -0.1",
+        ),
+        (
+            &["--gridstep", "1", "--partial", "--blur", "0.5mm"],
+            "write it in voxels",
+        ),
+        (
+            &["--gridstep", "1", "--partial", "--blur", "-1vx"],
+            "above 0",
+        ),
+        (
+            &["--gridstep", "1", "--partial", "--grey-noise", "-1"],
+            "grey noise is -1",
+        ),
+        (&["--gridstep", "1", "-o", "a.nii.gz"], "curvox shape"),
+    ] {
+        let text = curvox(&[&["shape", "sphere"], options].concat()).fails(2);
+        assert!(text.contains(word), "{text}");
+        assert!(!text.contains("--spacing"), "{text}");
+    }
+}

@@ -31,7 +31,6 @@
 //! image went on, unless a part of the solid that does not meet the border came near. Not
 //! guaranteed: that parts of the solid nearer than r are kept apart: sites count by distance.
 
-mod border;
 mod cells;
 mod distance;
 mod sites;
@@ -49,7 +48,7 @@ use super::average::AverageKernel;
 use super::integral::SAME_EIGENVALUE;
 use super::{Normals, touches_border, trivial_normal};
 
-use border::Border;
+use super::border::Border;
 use cells::{Cells, Covariance, Ties};
 use sites::Sites;
 
