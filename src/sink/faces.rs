@@ -40,6 +40,17 @@ pub const FACES_FILE: &str = "faces.parquet";
 /// through it in the same direction. Surfels have no such edges.
 pub const NON_MANIFOLD: FlagSet = 1 << 15;
 
+/// Bit of the flag `radius_too_small`: the field is constant and the ball holds no vertex. G is 0 then, and
+/// H comes from parts of edges or is 0 too, by the method and not by the surface. The values stay,
+/// since on a mesh of large flat faces they are right.
+pub const RADIUS_TOO_SMALL: FlagSet = 1 << 14;
+
+/// The flags that surfels do not have.
+const MESH_FLAGS: [(&str, FlagSet); 2] = [
+    ("radius_too_small", RADIUS_TOO_SMALL),
+    ("non_manifold", NON_MANIFOLD),
+];
+
 /// What is said of all rows.
 #[derive(Clone, Debug)]
 pub struct FaceTableInfo {
@@ -212,7 +223,7 @@ impl FaceTable {
         let mut area = floats();
         let mut normal = triple();
         let mut stats = RadiusSums::new(info.radius);
-        let mut non_manifold = 0;
+        let mut mesh_flags = [0; MESH_FLAGS.len()];
         for (f, sums) in sums.iter().enumerate() {
             let u = field.of_face[f];
             let curvature = sums.curvature(u);
@@ -244,8 +255,11 @@ impl FaceTable {
             set(surface.corners(f).any(lifted), Flag::Lifted.bit());
             set(field.degenerate[f], Flag::DegenerateNormal.bit());
             set(curvature.is_none(), Flag::NoArea.bit());
+            set(sums.no_vertex, RADIUS_TOO_SMALL);
             set(sums.non_manifold, NON_MANIFOLD);
-            non_manifold += u64::from(sums.non_manifold);
+            for (rows, (_, bit)) in mesh_flags.iter_mut().zip(MESH_FLAGS) {
+                *rows += u64::from(flags & bit != 0);
+            }
             at.flags.push(flags);
             let mu0 = measures.faces[f].mu0;
             area.push(mu0 as f32);
@@ -261,11 +275,12 @@ impl FaceTable {
             world: info.radius,
         });
         let mut flags = summary.flags;
-        flags.push(FlagCount {
-            name: "non_manifold",
-            bit: NON_MANIFOLD,
-            rows: non_manifold,
-        });
+        flags.extend(
+            MESH_FLAGS
+                .into_iter()
+                .zip(mesh_flags)
+                .map(|((name, bit), rows)| FlagCount { name, bit, rows }),
+        );
         let stats = RowStats {
             label: summary.label,
             radius: info.radius,
@@ -457,7 +472,7 @@ impl FaceTable {
         let flags: serde_json::Map<String, Value> = Flag::ALL
             .iter()
             .map(|flag| (flag.name().to_owned(), json!(flag.bit())))
-            .chain([("non_manifold".to_owned(), json!(NON_MANIFOLD))])
+            .chain(MESH_FLAGS.map(|(name, bit)| (name.to_owned(), json!(bit))))
             .collect();
         [
             ("curvox.columns", json!(columns).to_string()),
