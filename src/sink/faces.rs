@@ -36,6 +36,9 @@ use super::whole_file::{WholeFile, write_whole};
 /// Name of the table inside an output directory.
 pub const FACES_FILE: &str = "faces.parquet";
 
+/// Key of the radius in the metadata; tables of surfels have several radii under another key.
+pub(super) const RADIUS_KEY: &str = "curvox.radius";
+
 /// Bit of the flag `non_manifold`: the ball cuts an edge of three faces or more, or of two that run
 /// through it in the same direction. Surfels have no such edges.
 pub const NON_MANIFOLD: FlagSet = 1 << 15;
@@ -479,7 +482,7 @@ impl FaceTable {
             ("curvox.conventions", self.info.conventions.join("\n")),
             ("curvox.flags", Value::Object(flags).to_string()),
             ("curvox.parameters", self.info.parameters.to_string()),
-            ("curvox.radius", json!(self.info.radius).to_string()),
+            (RADIUS_KEY, json!(self.info.radius).to_string()),
             ("curvox.version", self.info.version.clone()),
         ]
         .into_iter()

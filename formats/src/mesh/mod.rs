@@ -169,7 +169,7 @@ impl Mesh {
         if self.faces() == 0 {
             return Err(Error::invalid(
                 name,
-                format!("holds no faces; vertices: {}", self.vertices.len()),
+                format!("holds no faces ({} vertices)", self.vertices.len()),
             ));
         }
         Ok(self)
