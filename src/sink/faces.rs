@@ -7,7 +7,6 @@
 //! Columns and flags that surfels have too have their names, types and bits. Centroids are `f64`,
 //! since meshes may lie anywhere.
 
-use std::collections::HashMap;
 use std::fs;
 use std::io::{BufWriter, Write};
 use std::path::Path;
@@ -17,6 +16,7 @@ use arrow_array::{ArrayRef, Float32Array, Float64Array, RecordBatch, UInt16Array
 use arrow_schema::{DataType, Field, Schema};
 use parquet::arrow::ArrowWriter;
 use parquet::basic::{Compression, ZstdLevel};
+use parquet::file::metadata::KeyValue;
 use parquet::file::properties::WriterProperties;
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -391,10 +391,10 @@ impl FaceTable {
             };
             Field::new(name, kind, false)
         });
-        let schema =
-            Arc::new(Schema::new(fields.collect::<Vec<_>>()).with_metadata(self.metadata()));
+        let schema = Arc::new(Schema::new(fields.collect::<Vec<_>>()));
         let properties = WriterProperties::builder()
             .set_created_by(format!("curvox version {}", self.info.version))
+            .set_key_value_metadata(Some(self.metadata()))
             .set_max_row_group_row_count(Some(ROW_GROUP_ROWS))
             .set_compression(Compression::ZSTD(ZstdLevel::default()))
             .build();
@@ -466,7 +466,8 @@ impl FaceTable {
         output.flush().map_err(failed)
     }
 
-    fn metadata(&self) -> HashMap<String, String> {
+    /// What surfels have too, under the same keys; sorted by key.
+    fn metadata(&self) -> Vec<KeyValue> {
         let columns: Vec<_> = self
             .columns
             .iter()
@@ -486,7 +487,7 @@ impl FaceTable {
             ("curvox.version", self.info.version.clone()),
         ]
         .into_iter()
-        .map(|(key, value)| (key.to_owned(), value))
+        .map(|(key, value)| KeyValue::new(key.to_owned(), value))
         .collect()
     }
 }
