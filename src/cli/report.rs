@@ -413,11 +413,11 @@ mod tests {
     #[test]
     fn an_empty_surface_says_which_kind() {
         let empty = ExactTotals::default();
-        assert!(advice(&empty, &[])[0].contains("no voxel is inside"));
+        assert!(advice(&empty, &[], "")[0].contains("no voxel is inside"));
         let full = ExactTotals {
             inside_voxels: 8,
             ..ExactTotals::default()
         };
-        assert!(advice(&full, &[])[0].contains("every voxel is inside"));
+        assert!(advice(&full, &[], "")[0].contains("every voxel is inside"));
     }
 }
