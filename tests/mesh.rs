@@ -13,7 +13,7 @@ use curvox::mesh::{
 use curvox::normal::{Estimator, Orientation};
 use curvox::pipeline::Settings;
 use curvox_formats::mesh::Mesh;
-use curvox_tools::meshes::{Polyhedron, globe, icosphere, torus};
+use curvox_tools::meshes::{Polyhedron, globe, icosphere, lantern, torus};
 use curvox_tools::plain::Solid;
 use glam::{DMat3, DVec3};
 use proptest::prelude::*;
@@ -499,6 +499,47 @@ fn a_larger_radius_takes_more_and_a_huge_one_all() {
     for (f, sums) in mesh.sums(1e-3).iter().enumerate() {
         assert!(sums.sum.mu0.abs() < 0.1 * mesh.measures.faces[f].mu0.abs());
         near(sums.sum.mu1(), 0.0, 0.0);
+        assert!(sums.no_vertex);
+    }
+    assert!(mesh.sums(100.0).iter().all(|sums| !sums.no_vertex));
+    // An interpolated field has its measures on the faces, and the ball its part of them.
+    let sphere = measured(&icosphere(3, 2.0), NormalSource::Given, Field::Interpolated);
+    assert!(sphere.sums(1e-3).iter().all(|sums| !sums.no_vertex));
+    for c in sphere.curvatures(1e-3) {
+        near(c.mean, 0.5, 2e-3);
+    }
+}
+
+#[test]
+fn normals_of_vertices_are_interpolated_unless_asked_otherwise() {
+    let suitable = |mesh: &Mesh, source: NormalSource| source.suitable_field(mesh);
+    let (sphere, lantern) = (file(&icosphere(1, 1.0)), file(&lantern(4, 5, 1.0, 1.0)));
+    let mut of_faces = lantern.clone();
+    of_faces.vertex_normals = None;
+    let mut bare = sphere.clone();
+    bare.vertex_normals = None;
+    // As OBJ has the normals of faces: at each of their corners.
+    let mut repeated = bare.clone();
+    repeated.corner_normals = Some(
+        (0..bare.corners.len())
+            .map(|c| [0.0, (c / 3) as f64, 1.0])
+            .collect(),
+    );
+    let mut of_corners = repeated.clone();
+    of_corners.corner_normals.as_mut().unwrap()[1] = [1.0, 0.0, 0.0];
+    for (mesh, source, field) in [
+        (&sphere, NormalSource::Auto, Field::Interpolated),
+        (&sphere, NormalSource::Given, Field::Interpolated),
+        (&sphere, NormalSource::Faces, Field::Constant),
+        (&lantern, NormalSource::Given, Field::Interpolated),
+        (&of_faces, NormalSource::Given, Field::Constant),
+        (&of_faces, NormalSource::Auto, Field::Constant),
+        (&of_faces, NormalSource::Vertices, Field::Interpolated),
+        (&bare, NormalSource::Auto, Field::Interpolated),
+        (&repeated, NormalSource::Auto, Field::Constant),
+        (&of_corners, NormalSource::Auto, Field::Interpolated),
+    ] {
+        assert_eq!(suitable(mesh, source), field, "{source:?}");
     }
 }
 

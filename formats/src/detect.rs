@@ -10,7 +10,7 @@ use crate::open::Context;
 use crate::{nifti, npy, vol};
 
 /// Formats that are recognised in order to be refused by name: (offset, magic, name).
-const OTHER_FORMATS: [(usize, &[u8], &str); 24] = [
+const OTHER_FORMATS: [(usize, &[u8], &str); 25] = [
     // Before TIFF: the preamble of a DICOM file may hold a TIFF header.
     (128, b"DICM", "DICOM"),
     (0, b"II*\0", "TIFF"),
@@ -30,6 +30,7 @@ const OTHER_FORMATS: [(usize, &[u8], &str); 24] = [
     (0, b"CDF\x02", "NetCDF"),
     (0, b"\x89PNG", "PNG"),
     (0, b"\xff\xd8\xff", "JPEG"),
+    (0, b"PAR1", "Parquet"),
     (0, b"BZh", "bzip2"),
     (0, b"\xfd7zXZ\0", "xz"),
     (208, b"MAP ", "MRC"),
@@ -38,6 +39,31 @@ const OTHER_FORMATS: [(usize, &[u8], &str); 24] = [
     (0, b"P5", "PGM3D"),
 ];
 
+/// The format of volumes that content begins like.
+fn volume(head: &[u8]) -> Option<Format> {
+    if head.starts_with(npy::MAGIC) {
+        return Some(Format::Npy);
+    }
+    nifti::detect(head).or_else(|| vol::detect(head))
+}
+
+/// The name of the format that is not read, by magic numbers of at least some bytes.
+fn other(head: &[u8], least_bytes: usize) -> Option<&'static str> {
+    OTHER_FORMATS
+        .into_iter()
+        .filter(|(_, magic, _)| magic.len() >= least_bytes)
+        .find(|(offset, magic, _)| head.get(*offset..).is_some_and(|h| h.starts_with(magic)))
+        .map(|(_, _, name)| name)
+}
+
+/// What content begins like, if not like a mesh. Magic numbers of two or three letters do not count: the
+/// free text that a binary STL begins with may have them.
+pub(crate) fn looks_like_no_mesh(head: &[u8]) -> Option<String> {
+    volume(head)
+        .map(|format| format.name().to_owned())
+        .or_else(|| other(head, 4).map(str::to_owned))
+}
+
 /// The format of the content, or an error that says what it looks like.
 pub(crate) fn detect(input: &mut Input, context: &Context<'_>) -> Result<Format, Error> {
     /// Enough for every magic number, and for the first lines of a text header.
@@ -45,23 +71,14 @@ pub(crate) fn detect(input: &mut Input, context: &Context<'_>) -> Result<Format,
     let head = input
         .peek(HEAD_BYTES)
         .map_err(|e| read_error(context.name, 0, e))?;
-    if head.starts_with(npy::MAGIC) {
-        return Ok(Format::Npy);
-    }
-    if let Some(format) = nifti::detect(head) {
+    if let Some(format) = volume(head) {
         return Ok(format);
     }
-    if let Some(format) = vol::detect(head) {
-        return Ok(format);
-    }
-    for (offset, magic, name) in OTHER_FORMATS {
-        let found = head.get(offset..).is_some_and(|h| h.starts_with(magic));
-        if found {
-            return Err(Error::unsupported(
-                context.name,
-                format!("the content looks like {name}, which is not read here"),
-            ));
-        }
+    if let Some(name) = other(head, 1) {
+        return Err(Error::unsupported(
+            context.name,
+            format!("the content looks like {name}, which is not read here"),
+        ));
     }
     if Compression::detect(head).is_some() {
         return Err(Error::unsupported(context.name, "is compressed twice"));

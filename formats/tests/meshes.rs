@@ -2,7 +2,7 @@
 
 use std::io::Cursor;
 
-use curvox_formats::mesh::{Mesh, MeshFormat, read_mesh};
+use curvox_formats::mesh::{Mesh, MeshFormat, read_mesh, recognise_mesh};
 use curvox_formats::{Error, ErrorKind};
 use proptest::prelude::*;
 
@@ -317,6 +317,19 @@ fn mistakes_are_named_with_their_place() {
         "a.stl",
         &["4 triangles", "284 bytes", "200 bytes", "byte 80"],
     );
+    error(
+        &binary_stl(b"solid, although it is binary")[..200],
+        "a.stl",
+        &["4 triangles", "200 bytes"],
+    );
+    let mut nifti = vec![0; 400];
+    nifti[..4].copy_from_slice(&348i32.to_le_bytes());
+    for name in ["a.stl", "a.nii"] {
+        error(&nifti, name, &["not a mesh", "looks like nifti1"]);
+    }
+    error(b"PAR1.......", "a.obj", &["not a mesh", "Parquet"]);
+    // A short magic number may begin the free text of an STL.
+    assert_eq!(read(&binary_stl(b"P5 made it")).unwrap().faces(), 4);
     let mut binary = binary_stl(b"");
     binary[96..100].copy_from_slice(&f32::INFINITY.to_le_bytes());
     error(&binary, "a.stl", &["byte 96", "triangle 0", "not finite"]);
@@ -331,6 +344,26 @@ fn mistakes_are_named_with_their_place() {
     );
     let wrong = read_as(obj.as_bytes(), "a.obj", Some(MeshFormat::Ply)).unwrap_err();
     assert!(wrong.to_string().contains("begins with 'ply'"), "{wrong}");
+}
+
+#[test]
+fn meshes_are_recognised_without_being_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let recognised = |name: &str, bytes: &[u8]| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, bytes).unwrap();
+        recognise_mesh(&path)
+    };
+    for (name, bytes) in files() {
+        let format = read_as(&bytes, name, None).unwrap().format;
+        assert_eq!(recognised(name, &bytes), Some(format), "{name}");
+        let name = format!("{name}.gz");
+        assert_eq!(recognised(&name, &gzip(&bytes)), Some(format), "{name}");
+    }
+    assert_eq!(recognised("x", obj().as_bytes()), Some(MeshFormat::Obj));
+    assert_eq!(recognised("x", &[0; 200]), None);
+    assert_eq!(recognised("a.stl", b"\x93NUMPY....."), None);
+    assert_eq!(recognise_mesh(folder.path()), None);
 }
 
 #[test]

@@ -2,6 +2,11 @@
 
 use crate::curvature::Method;
 
+/// What the principal curvatures are, beside H and G.
+pub(super) const PRINCIPAL: &str = "k1 and k2 are of the curvature tensor averaged over the ball, so (k1 + k2)/2 \
+     differs from H and k1 k2 from G (principal_mismatch_rms of summary.json: by how much the first); shape \
+     indices that agree with H and G take H -+ sqrt(H^2 - G).";
+
 /// A sentence each; what curvature is depends on the method, the last on whether the surface was
 /// closed at the border.
 pub(crate) fn sentences(closed: bool, method: Method) -> Vec<String> {
@@ -21,6 +26,7 @@ pub(crate) fn sentences(closed: bool, method: Method) -> Vec<String> {
              and not for radii like h^(1/2)."
         }
     };
+    let principal = (method == Method::Measures).then_some(PRINCIPAL);
     [
         "A triple is (x, y, z), x fastest; voxel p covers the unit cube centred at p.",
         "In Khalimsky (doubled) coordinates voxel p is 2p+1; a surfel has exactly one even coordinate.",
@@ -28,11 +34,15 @@ pub(crate) fn sentences(closed: bool, method: Method) -> Vec<String> {
         "Normals point outward, from inside to outside.",
         "A convex body has mean curvature H > 0; a sphere of radius R has H = 1/R and G = 1/R^2.",
         curvature,
+    ]
+    .into_iter()
+    .chain(principal)
+    .chain([
         "Lengths are in the world unit, areas in its square, H, k1, k2 in its inverse, G in its inverse squared.",
         border,
-    ]
+    ])
     .map(String::from)
-    .to_vec()
+    .collect()
 }
 
 /// What `curvox --help` says first.

@@ -1,4 +1,4 @@
-//! `curvox info`: what a volume is, or what a run left.
+//! `curvox info`: what a volume or a mesh is, or what a run left.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -6,10 +6,11 @@ use std::sync::atomic::AtomicBool;
 
 use anyhow::Result;
 use clap::Args;
+use curvox_formats::mesh::{Mesh, open_mesh};
 use curvox_formats::{Volume, Voxels};
 use serde_json::{Value, json};
 
-use crate::sink::{Check, OutputInfo, RUN_FILE};
+use crate::sink::{Check, FACES_FILE, OutputInfo, RUN_FILE};
 use crate::volume::otsu::Values;
 
 use super::exit::{self, usage};
@@ -48,10 +49,23 @@ pub(crate) fn run(args: &InfoArgs, stop: &AtomicBool) -> Result<()> {
         } else {
             Check::Footers
         };
-        of_output(&OutputInfo::open(&args.input.input, check)?)
+        let output = OutputInfo::open(&args.input.input, check)?;
+        if args.check && output.is_of_mesh() {
+            return Err(usage(
+                "--check is for outputs of a run; those of a mesh have no checksums",
+            ));
+        }
+        of_output(&output)
     } else {
         if args.check {
             return Err(usage("--check is for outputs of curvox, and this is none"));
+        }
+        if let Some(format) = args.input.mesh_format() {
+            if args.values {
+                return Err(usage("--values is for volumes, and this is a mesh"));
+            }
+            let mesh = open_mesh(&args.input.input, Some(format))?;
+            return tell(args, of_mesh(&args.input.name(), &mesh));
         }
         let volume = args.input.open()?;
         let values = if args.values {
@@ -67,6 +81,10 @@ pub(crate) fn run(args: &InfoArgs, stop: &AtomicBool) -> Result<()> {
         };
         of_volume(&volume, values.as_ref())
     };
+    tell(args, told)
+}
+
+fn tell(args: &InfoArgs, told: Fields) -> Result<()> {
     if args.json {
         exit::print(&format!("{:#}\n", as_json(told)))
     } else {
@@ -74,10 +92,12 @@ pub(crate) fn run(args: &InfoArgs, stop: &AtomicBool) -> Result<()> {
     }
 }
 
-/// Whether a path is a directory of a run or a Parquet file.
+/// Whether a path is a directory of results or a Parquet file.
 fn is_output(path: &Path) -> bool {
     if path.is_dir() {
-        return path.join(RUN_FILE).exists();
+        return [RUN_FILE, FACES_FILE]
+            .iter()
+            .any(|name| path.join(name).exists());
     }
     let mut magic = [0; 4];
     std::fs::File::open(path)
@@ -128,14 +148,71 @@ fn of_volume(volume: &Volume, values: Option<&Values>) -> Fields {
     told
 }
 
-fn of_output(output: &OutputInfo) -> Fields {
-    let run = output.run.as_ref();
-    let table = output.table.as_ref();
-    let columns: Vec<_> = output
+fn of_mesh(name: &str, mesh: &Mesh) -> Fields {
+    let normals: Vec<&str> = [
+        (mesh.corner_normals.is_some(), "corners"),
+        (mesh.vertex_normals.is_some(), "vertices"),
+        (mesh.face_normals.is_some(), "faces"),
+    ]
+    .into_iter()
+    .filter_map(|(given, of)| given.then_some(of))
+    .collect();
+    vec![
+        ("kind", json!("mesh")),
+        ("name", json!(name)),
+        ("format", json!(mesh.format.name())),
+        ("vertices", json!(mesh.vertices.len())),
+        ("faces", json!(mesh.faces())),
+        (
+            "normals",
+            json!(if normals.is_empty() {
+                "none".to_owned()
+            } else {
+                format!("of {}", normals.join(" and "))
+            }),
+        ),
+        ("warnings", json!(mesh.warnings)),
+        ("curvatures", json!(format!("curvox mesh {name} -o out"))),
+    ]
+}
+
+/// What `curvox mesh` left.
+fn of_faces(output: &OutputInfo) -> Fields {
+    let text = |key: &str| output.metadata.get(key);
+    let value = |key: &str| text(key).and_then(|text| serde_json::from_str::<Value>(text).ok());
+    let summary = output.summary.as_ref();
+    let part_of = |field: &str| summary.map_or(Value::Null, |s| s[field].clone());
+    let columns = columns_of(output);
+    vec![
+        ("kind", json!("output of a mesh")),
+        ("name", json!(output.path)),
+        ("version", json!(text("curvox.version"))),
+        ("rows", json!(output.rows)),
+        ("bytes", json!(output.bytes)),
+        ("columns", json!(columns)),
+        ("radius", json!(value("curvox.radius"))),
+        ("parameters", json!(value("curvox.parameters"))),
+        ("input", part_of("input")),
+        ("totals", part_of("totals")),
+        ("warnings", part_of("warnings")),
+    ]
+}
+
+fn columns_of(output: &OutputInfo) -> Vec<Value> {
+    output
         .columns
         .iter()
         .map(|(name, kind)| json!({"name": name, "type": kind}))
-        .collect();
+        .collect()
+}
+
+fn of_output(output: &OutputInfo) -> Fields {
+    if output.is_of_mesh() {
+        return of_faces(output);
+    }
+    let run = output.run.as_ref();
+    let table = output.table.as_ref();
+    let columns = columns_of(output);
     let part_of = |field: &str| {
         output
             .summary

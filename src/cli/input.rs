@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use clap::{Args, ValueEnum};
+use curvox_formats::mesh::{MeshFormat, recognise_mesh};
 use curvox_formats::{
     DType, Format, IoMode, OpenOptions, RawLayout, Unit, Volume, VoxelType, open, open_stream,
 };
@@ -121,6 +122,16 @@ impl InputArgs {
         })
     }
 
+    /// The format of the mesh that the input is, unless it is said to be a volume.
+    pub(crate) fn mesh_format(&self) -> Option<MeshFormat> {
+        let said = self.is_stdin() || self.format.is_some() || self.dims.is_some();
+        if said {
+            None
+        } else {
+            recognise_mesh(&self.input)
+        }
+    }
+
     /// Opens the volume; its header is as the command line says where that overrides the file.
     pub(crate) fn open(&self) -> Result<Volume> {
         let options = self.options()?;
@@ -132,7 +143,15 @@ impl InputArgs {
             }
             open_stream(Box::new(std::io::stdin()), &self.name(), &options)?
         } else {
-            open(&self.input, &options)?
+            open(&self.input, &options).map_err(|error| match self.mesh_format() {
+                Some(format) => BadInput(format!(
+                    "{}: is a mesh ({}), not a volume; its curvatures: curvox mesh {0} -o out",
+                    self.name(),
+                    format.name()
+                ))
+                .into(),
+                None => anyhow::Error::from(error),
+            })?
         };
         if let Some(Spacing { edges, unit }) = self.spacing {
             let header = &mut volume.header;

@@ -1,7 +1,7 @@
 //! `curvox mesh`: from a mesh to curvatures of its faces.
 
 use std::fmt::Write as _;
-use std::fs::OpenOptions;
+use std::fs::{self, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -15,16 +15,14 @@ use serde_json::{Value, json};
 
 use crate::error::Error;
 use crate::measure::field::Field;
-use crate::mesh::{
-    Flip, MeshMeasures, MeshSurface, NormalField, NormalSource, UsedNormals, ball_sums,
-};
+use crate::mesh::{Defects, Flip, MeshMeasures, MeshSurface, NormalField, NormalSource, ball_sums};
 use crate::sink::{
     FACES_FILE, FaceTable, FaceTableInfo, MeshSummary, STDOUT, SinkError, prepare_mesh_output,
 };
 
 use super::exit::{self, BadInput, Usage, usage};
 use super::method::FieldName;
-use super::output::{Target, refuse_existing, target_of};
+use super::output::{Target, refuse_existing, target_of, where_to};
 use super::progress::{self, Style};
 use super::report::{flag_counts, number, place};
 use super::run::refuse_input_as_output;
@@ -33,6 +31,9 @@ use super::{conventions, sizes};
 /// The default radius, in mean edges: some forty triangles. Fewer, and the share of cells at the rim of
 /// the ball shows in the curvatures of rough meshes; more blurs what meshes resolve.
 const DEFAULT_RADIUS_EDGES: f64 = 3.0;
+
+/// Balls of fewer mean edges hold so few cells that these show instead of the surface.
+const SMALL_RADIUS_EDGES: f64 = 2.0;
 
 /// Coordinates and sizes beyond this leave the range of numbers when they are multiplied.
 const LARGEST: f64 = 1e60;
@@ -55,11 +56,9 @@ pub(crate) struct MeshArgs {
     /// Turn round: all, faces (the order of their corners), normals (those of the file) [default: all]
     #[arg(
         long,
-        value_enum,
-        hide_possible_values = true,
+        value_parser = flip_what,
         value_name = "WHAT",
         num_args = 0..=1,
-        require_equals = true,
         default_missing_value = "all",
         help_heading = "Input"
     )]
@@ -80,19 +79,20 @@ pub(crate) struct MeshArgs {
     normals: Normals,
 
     /// Field of normals: constant (on each face), interpolated (unit vectors), linear (not of length one)
+    /// [default: interpolated where normals are those of vertices or corners, constant where they are those of faces]
     ///
-    /// constant takes the mean of the corners where normals are those of vertices. interpolated and linear take
+    /// With constant, all curvature lies on edges and vertices, and H jumps by some percent with the radius as
+    /// they enter the ball; interpolated spreads it over the faces. constant takes the mean of the corners where normals are those of vertices. interpolated and linear take
     /// the mean around vertices where normals are those of faces, and cut faces of more than three corners into
     /// triangles at their centroid, where the normal is the mean of the corners.
     #[arg(
         long,
         value_enum,
         hide_possible_values = true,
-        default_value = "constant",
         value_name = "NAME",
         help_heading = "Method"
     )]
-    field: FieldName,
+    field: Option<FieldName>,
 
     /// Radius of the balls the measures are summed over, in units of the mesh, or with % of the
     /// diagonal of its bounding box [default: 3 times the mean length of the edges]
@@ -115,7 +115,7 @@ pub(crate) struct MeshArgs {
     /// Where the results go: a directory (faces.parquet, summary.json), a file .parquet or .csv, or - for
     /// CSV on standard output
     #[arg(short, long, value_name = "OUT", help_heading = "Output")]
-    output: PathBuf,
+    output: Option<PathBuf>,
 
     /// Replace earlier results
     #[arg(long, help_heading = "Output")]
@@ -140,6 +140,16 @@ enum FlipWhat {
     All,
     Faces,
     Normals,
+}
+
+/// What to turn round, as typed; the file may have been meant, since nothing need be said.
+fn flip_what(text: &str) -> Result<FlipWhat, Usage> {
+    FlipWhat::from_str(text, false).map_err(|_| {
+        Usage(format!(
+            "all, faces or normals can be turned round; if '{text}' is the mesh, name it before --flip, or write \
+             --flip=all"
+        ))
+    })
 }
 
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq)]
@@ -189,9 +199,9 @@ pub(crate) fn long_help() -> String {
     format!(
         "Examples:\n  \
          curvox mesh bunny.ply -o out\n  \
-         curvox mesh scan.obj.gz --radius 1% --directions -o faces.parquet\n  \
+         curvox mesh scan.obj.gz --radius 5% --directions -o faces.parquet\n  \
          curvox mesh part.stl --normals faces --radius 2.5 -o -\n  \
-         curvox mesh lantern.obj --field interpolated --quality -o out\n\n{}\n\n{}",
+         curvox mesh lantern.obj --field constant --quality -o out\n\n{}\n\n{}",
         sentences()
             .iter()
             .fold("Conventions:".to_owned(), |all, s| format!("{all}\n  {s}")),
@@ -205,9 +215,12 @@ fn sentences() -> Vec<String> {
         "Faces are counter-clockwise seen from outside, as stored (--flip turns them round); normals point outward.",
         "A convex body has mean curvature H > 0; a sphere of radius R has H = 1/R and G = 1/R^2.",
         "H = mu1 / (2 mu0) and G = mu2 / mu0 of the ball; mu1 integrates to twice the integral of H; k1 <= k2.",
+        conventions::PRINCIPAL,
         "Lengths are in the unit of the mesh, areas in its square, H, k1, k2 in its inverse, G in its inverse squared.",
         "The ball is around the centroid of a face; of the faces connected to it within the ball, each counts by \
          its share in it.",
+        "With a constant field rows whose ball holds no vertex carry the flag `radius_too_small`: G is 0 there \
+         by the method, and H comes from parts of edges or is 0.",
         "An edge has a measure only where exactly two faces meet in opposite directions; rows whose ball cuts \
          any other edge carry the flag `border` or `non_manifold`.",
     ]
@@ -218,8 +231,16 @@ fn sentences() -> Vec<String> {
 /// Runs.
 pub(crate) fn run(args: &MeshArgs, verbose: bool, stop: &AtomicBool) -> Result<()> {
     let started = Instant::now();
-    let target = target_of(&args.output)?;
+    let Some(output) = &args.output else {
+        return Err(where_to("faces.parquet, summary.json", "CSV"));
+    };
+    let target = target_of(output)?;
     let from_stdin = args.input == Path::new(STDOUT);
+    if !from_stdin {
+        // A name typed wrong is told before anything about the output, and found before a directory is made.
+        fs::metadata(&args.input)
+            .map_err(|e| curvox_formats::Error::io(args.name(), "cannot be opened", e))?;
+    }
     refuse_input_as_output((!from_stdin).then_some(&args.input), &target)?;
     match &target {
         Target::Directory(path) => prepare_mesh_output(path, args.overwrite)?,
@@ -272,7 +293,9 @@ fn compute(
         Normals::Faces => NormalSource::Faces,
         Normals::Vertices => NormalSource::Vertices,
     };
-    let field = Field::from(args.field);
+    let field = args
+        .field
+        .map_or_else(|| source.suitable_field(mesh), Field::from);
     let field = NormalField::new(mesh, &surface, source, field, flip).ok_or_else(|| {
         usage(format!(
             "{name} gives no normals; choose --normals vertices or --normals faces"
@@ -299,13 +322,14 @@ fn compute(
         radius,
         directions: args.directions,
         quality: args.quality,
-        parameters: args.parameters(&label, radius, field.used),
+        parameters: args.parameters(&label, radius, &field),
         conventions: sentences(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
     };
     let table = FaceTable::new(info.clone(), &surface, &field, &measures, &sums);
     let mut warnings = mesh.warnings.clone();
     warnings.extend(warnings_of(&surface, &field, totals.volume));
+    warnings.extend(small_radius(radius / surface.mean_edge(), &field));
     let summary = MeshSummary {
         format: "curvox mesh summary 1",
         version: info.version,
@@ -347,54 +371,90 @@ fn check_size(surface: &MeshSurface, name: &str) -> Result<()> {
     Ok(())
 }
 
+/// What the user should know about a radius, in mean edges.
+fn small_radius(edges: f64, field: &NormalField) -> Option<String> {
+    let what = if field.field == Field::Constant {
+        "the faces show: measures of a constant field lie on edges and vertices, of which the balls hold few or \
+         none, so H and G are those of the cells, not of the surface (flag `radius_too_small`: no vertex)"
+    } else {
+        "the faces show: rows give the curvature of a face and its neighbours, with all the noise of their normals"
+    };
+    (edges < SMALL_RADIUS_EDGES).then(|| {
+        format!(
+            "the radius is {} mean edges, and below {SMALL_RADIUS_EDGES} {what}",
+            number(edges)
+        )
+    })
+}
+
 /// What the user should know about the mesh.
 fn warnings_of(surface: &MeshSurface, field: &NormalField, volume: Option<f64>) -> Vec<String> {
     let d = &surface.defects;
     let mut warnings = Vec::new();
-    let mut warn = |count: u64, text: &str| {
+    let mut warn = |count: u64, one: &str, several: &str, rest: &str| {
         if count > 0 {
-            warnings.push(format!("{} {text}", sizes::count(count)));
+            let what = if count == 1 { one } else { several };
+            warnings.push(format!("{} {what}{rest}", sizes::count(count)));
         }
     };
     warn(
         d.border_edges,
-        "edges have one face: the surface is open there, and rows near them are flagged `border`",
+        "edge has one face",
+        "edges have one face",
+        ": the surface is open there, and rows near them are flagged `border`",
     );
     warn(
         d.non_manifold_edges,
-        "edges have three faces or more: they have no measure, and rows near them are flagged `non_manifold`",
+        "edge has three faces or more",
+        "edges have three faces or more",
+        ": no measure lies there, and rows near are flagged `non_manifold`",
     );
     warn(
         d.inconsistent_edges,
-        "edges have two faces of opposite orientation: they have no measure, and rows near them are \
-         flagged `non_manifold`; orient the mesh first",
+        "edge has two faces of opposite orientation",
+        "edges have two faces of opposite orientation",
+        ": no measure lies there, and rows near are flagged `non_manifold`; orient the mesh first",
     );
     warn(
         d.collapsed_faces,
+        "face has fewer than three different corners and is left out",
         "faces have fewer than three different corners and are left out",
+        "",
     );
-    warn(d.zero_area_faces, "faces have no area");
+    warn(
+        d.zero_area_faces,
+        "face has no area",
+        "faces have no area",
+        "",
+    );
     warn(
         d.duplicate_faces,
+        "face has the vertices of an earlier one",
         "faces have the vertices of an earlier one",
+        "",
     );
     warn(
         field.degenerate.iter().filter(|d| **d).count() as u64,
-        "faces lack a normal and have their naive one: flag `degenerate_normal`",
+        "face lacks a normal and has its naive one",
+        "faces lack a normal and have their naive one",
+        ": flag `degenerate_normal`",
     );
     let opposed = (0..surface.faces())
         .filter(|&f| field.of_face[f].dot(surface.normal[f]) <= 0.0)
         .count();
     if 2 * opposed > surface.faces() {
         warnings.push(format!(
-            "the normals point to the inner side of {opposed} of {} faces: turn round either the faces \
+            "the normals point to the inner side of {opposed} of the {} faces: turn round either the faces \
              (--flip=faces) or the normals (--flip=normals)",
             surface.faces()
         ));
-    } else if opposed > 0 {
-        warnings.push(format!(
-            "the normals point to the inner side of {opposed} faces: flag `normal_opposed`"
-        ));
+    } else {
+        warn(
+            opposed as u64,
+            "face has normals that point to its inner side",
+            "faces have normals that point to their inner side",
+            ": flag `normal_opposed`",
+        );
     }
     if volume.is_some_and(|v| v < 0.0) {
         warnings.push(
@@ -416,14 +476,14 @@ impl MeshArgs {
     }
 
     /// All that the rows depend on beside the mesh.
-    fn parameters(&self, label: &str, radius: f64, used: UsedNormals) -> Value {
+    fn parameters(&self, label: &str, radius: f64, field: &NormalField) -> Value {
         let name = |value: Option<clap::builder::PossibleValue>| {
             value.map_or_else(String::new, |v| v.get_name().to_owned())
         };
         json!({
             "normals": name(self.normals.to_possible_value()),
-            "normals_used": used.describe(),
-            "field": name(self.field.to_possible_value()),
+            "normals_used": field.used.describe(),
+            "field": name(FieldName::from(field.field).to_possible_value()),
             "radius": label,
             "radius_length": radius,
             "weights": "dgtal",
@@ -493,6 +553,21 @@ fn without_histograms(summary: &MeshSummary) -> Value {
     summary
 }
 
+/// How the faces of a mesh hang together, in words.
+fn kind_of(defects: &Defects) -> String {
+    let kinds = [
+        (defects.border_edges, "open"),
+        (defects.non_manifold_edges, "not a manifold"),
+        (defects.inconsistent_edges, "not consistently oriented"),
+    ];
+    let found: Vec<_> = kinds.into_iter().filter(|k| k.0 > 0).map(|k| k.1).collect();
+    if found.is_empty() {
+        "closed".into()
+    } else {
+        found.join(", ")
+    }
+}
+
 fn write_text(
     out: &mut String,
     target: &Target,
@@ -514,11 +589,30 @@ fn write_text(
         number(totals.mu2),
         number(totals.sum_abs_mu_omega)
     )?;
-    let open = if totals.closed { "closed" } else { "open" };
     writeln!(
         out,
-        "Euler      V - E + F = {}, {open}",
-        totals.euler_counted
+        "Euler      V - E + F = {}, {}",
+        totals.euler_counted,
+        kind_of(&summary.defects)
+    )?;
+    let chi = totals.euler_gauss_bonnet;
+    let chi = chi.map_or_else(String::new, |chi| format!(", Gauss-Bonnet gives {chi}"));
+    let parameters = &summary.parameters;
+    let text = |name: &str| parameters[name].as_str().unwrap_or_default();
+    match text("field") {
+        "constant" => writeln!(out, "lifts      sum|k| = {}{chi}", totals.sum_abs_k)?,
+        "linear" => writeln!(
+            out,
+            "integral G {} (a linear field has no Gauss-Bonnet theorem)",
+            number(totals.mu2)
+        )?,
+        _ => writeln!(out, "lifts      none: all measures lie on faces{chi}")?,
+    }
+    writeln!(
+        out,
+        "normals    {}; field {}",
+        text("normals_used"),
+        text("field")
     )?;
     let mean = |value: Option<f64>| value.map_or("none".into(), number);
     writeln!(

@@ -206,6 +206,16 @@ impl From<FieldName> for Field {
     }
 }
 
+impl From<Field> for FieldName {
+    fn from(field: Field) -> Self {
+        match field {
+            Field::Constant => FieldName::Constant,
+            Field::Interpolated => FieldName::Interpolated,
+            Field::Linear => FieldName::Linear,
+        }
+    }
+}
+
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq)]
 enum Method {
     Default,

@@ -67,7 +67,7 @@ enum Command {
     /// Tell what a run would take, without running it: cut, memory, columns, size of the output
     #[command(after_help = conventions::EXIT_HELP)]
     Plan(Box<plan::PlanArgs>),
-    /// Tell what a volume is, or what a run left
+    /// Tell what a volume or a mesh is, or what a run left
     #[command(after_help = conventions::EXIT_HELP)]
     Info(Box<info::InfoArgs>),
     /// Add the noise of the papers to what is inside a volume: a volume of 0 and 1

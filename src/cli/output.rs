@@ -91,8 +91,10 @@ pub(crate) enum Target {
 }
 
 /// Endings that say a table was meant, of formats that are not written.
-const OTHER_ENDINGS: [&str; 12] = [
-    "arrow", "feather", "ipc", "tsv", "txt", "json", "gz", "zst", "vtk", "ply", "obj", "exr",
+const OTHER_ENDINGS: [&str; 37] = [
+    "arrow", "feather", "ipc", "tsv", "txt", "json", "jsonl", "xml", "xls", "xlsx", "ods", "gz",
+    "zst", "zip", "vtk", "vtp", "vtu", "vti", "ply", "obj", "stl", "off", "exr", "png", "tif",
+    "tiff", "npy", "npz", "nii", "vol", "raw", "h5", "hdf5", "pq", "mat", "html", "pdf",
 ];
 
 impl OutputArgs {
@@ -102,12 +104,9 @@ impl OutputArgs {
     /// If that is not said, or options do not fit it.
     pub(crate) fn target(&self) -> Result<Target> {
         let Some(path) = &self.output else {
-            return Err(usage(
-                "where should the results go? Say one of:\n  \
-                 -o DIR          a directory: table in parts, summary.json, run.json, slices\n  \
-                 -o OUT.parquet  one Parquet file\n  \
-                 -o OUT.csv      one CSV file\n  \
-                 -o -            standard output, CSV or --to arrow",
+            return Err(where_to(
+                "table in parts, summary.json, run.json, slices",
+                "CSV or --to arrow",
             ));
         };
         let target = target_of(path)?;
@@ -247,6 +246,17 @@ impl OutputArgs {
     }
 }
 
+/// The question where the results should go, with what a directory and standard output would get.
+pub(super) fn where_to(directory: &str, stdout: &str) -> anyhow::Error {
+    usage(format!(
+        "where should the results go? Say one of:\n  \
+         -o DIR          a directory: {directory}\n  \
+         -o OUT.parquet  one Parquet file\n  \
+         -o OUT.csv      one CSV file\n  \
+         -o -            standard output, {stdout}"
+    ))
+}
+
 /// Refuses a file that is there already, unless it may be replaced.
 pub(super) fn refuse_existing(path: &Path, overwrite: bool) -> Result<(), SinkError> {
     if !overwrite && fs::symlink_metadata(path).is_ok() {
@@ -329,6 +339,12 @@ mod tests {
             target("scan.v2").unwrap(),
             Target::Directory("scan.v2".into())
         );
-        assert!(target("b.ply").is_err());
+        for other in ["b.ply", "b.vtp", "b.STL", "b.xlsx", "a/b.nii"] {
+            assert!(target(other).is_err(), "{other}");
+        }
+        assert_eq!(
+            target("b.vtp/").unwrap(),
+            Target::Directory("b.vtp/".into())
+        );
     }
 }

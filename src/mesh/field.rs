@@ -10,6 +10,10 @@
 //! | faces | the naive normal | as for given faces |
 //! | vertices | mean of its corners | mean of the naive normals around, weighted by angles |
 //!
+//! Unless a field is asked for, normals of vertices are interpolated ([`NormalSource::suitable_field`]): the means
+//! of a constant field lose what varies over a face, and its sums, which lie on edges and vertices, jump
+//! as these enter the ball.
+//!
 //! Angles as weights make the mean independent of how polygons are cut into triangles
 //! (Thürmer and Wüthrich, 1998). Every mean is of unit vectors, made a unit vector. Where a
 //! file gives the zero vector, or vectors cancel, the naive normal is taken and the face is marked.
@@ -34,6 +38,28 @@ pub enum NormalSource {
     Faces,
     /// Means of the naive normals around each vertex.
     Vertices,
+}
+
+impl NormalSource {
+    /// The field that suits these normals: interpolated between those of vertices, constant where they
+    /// are those of faces, also if a file repeats them at the corners of each face.
+    #[must_use]
+    pub fn suitable_field(self, mesh: &Mesh) -> Field {
+        match choose(mesh, self, Field::Interpolated) {
+            Some(UsedNormals::Vertices | UsedNormals::GivenVertices) => Field::Interpolated,
+            Some(UsedNormals::GivenCorners) if !same_within_faces(mesh) => Field::Interpolated,
+            _ => Field::Constant,
+        }
+    }
+}
+
+/// Whether the corners of each face have one normal.
+fn same_within_faces(mesh: &Mesh) -> bool {
+    let normals = mesh.corner_normals.as_deref().unwrap_or_default();
+    (0..mesh.faces()).all(|f| {
+        let of_face = normals.get(mesh.face(f)).unwrap_or_default();
+        of_face.windows(2).all(|pair| pair[0] == pair[1])
+    })
 }
 
 /// Where the normals came from.

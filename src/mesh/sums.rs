@@ -8,7 +8,8 @@
 //! (rho - min) / (max - min); an edge has a share in the same way by its ends and its middle; a
 //! vertex counts if d <= rho. Faces are reached from the face asked through edges that join two
 //! faces, by way of faces of some share; edges and vertices count once if they are on such a face. So
-//! a face larger than the ball counts in part, and its far edges not at all.
+//! a face larger than the ball counts in part, and its far edges not at all. With a constant field the
+//! measures of such a ball are 0 or those of a few cells, not those of the surface: that is marked.
 //!
 //! Guaranteed: cells are added in an order that depends on the face asked alone, so sums have the
 //! same bits for every number of threads.
@@ -38,6 +39,9 @@ pub struct FaceSums {
     pub border: bool,
     /// The ball cuts an edge of more than two faces, or of two of opposite orientation.
     pub non_manifold: bool,
+    /// The ball holds no vertex, and the field is constant: mu2 is 0 since it lies on vertices, and mu1
+    /// is that of parts of edges at best.
+    pub no_vertex: bool,
 }
 
 impl FaceSums {
@@ -169,6 +173,8 @@ impl<'a> Walk<'a> {
         let centre = self.surface.centroid[face];
         let mut sums = FaceSums {
             island: true,
+            // All of mu2 lies on faces where umbrellas have none.
+            no_vertex: !self.umbrella_seen.is_empty(),
             ..FaceSums::default()
         };
         if !self.look(face, centre, &mut sums) {
@@ -226,6 +232,7 @@ impl<'a> Walk<'a> {
         self.umbrella_seen[number] = self.epoch;
         if self.surface.place(c).distance(centre) <= self.radius {
             sums.sum.mu2 += self.measures.umbrellas[number];
+            sums.no_vertex = false;
         }
     }
 }

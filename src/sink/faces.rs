@@ -7,7 +7,6 @@
 //! Columns and flags that surfels have too have their names, types and bits. Centroids are `f64`,
 //! since meshes may lie anywhere.
 
-use std::collections::HashMap;
 use std::fs;
 use std::io::{BufWriter, Write};
 use std::path::Path;
@@ -17,6 +16,7 @@ use arrow_array::{ArrayRef, Float32Array, Float64Array, RecordBatch, UInt16Array
 use arrow_schema::{DataType, Field, Schema};
 use parquet::arrow::ArrowWriter;
 use parquet::basic::{Compression, ZstdLevel};
+use parquet::file::metadata::KeyValue;
 use parquet::file::properties::WriterProperties;
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -36,9 +36,23 @@ use super::whole_file::{WholeFile, write_whole};
 /// Name of the table inside an output directory.
 pub const FACES_FILE: &str = "faces.parquet";
 
+/// Key of the radius in the metadata; tables of surfels have several radii under another key.
+pub(super) const RADIUS_KEY: &str = "curvox.radius";
+
 /// Bit of the flag `non_manifold`: the ball cuts an edge of three faces or more, or of two that run
 /// through it in the same direction. Surfels have no such edges.
 pub const NON_MANIFOLD: FlagSet = 1 << 15;
+
+/// Bit of the flag `radius_too_small`: the field is constant and the ball holds no vertex. G is 0 then, and
+/// H comes from parts of edges or is 0 too, by the method and not by the surface. The values stay,
+/// since on a mesh of large flat faces they are right.
+pub const RADIUS_TOO_SMALL: FlagSet = 1 << 14;
+
+/// The flags that surfels do not have.
+const MESH_FLAGS: [(&str, FlagSet); 2] = [
+    ("radius_too_small", RADIUS_TOO_SMALL),
+    ("non_manifold", NON_MANIFOLD),
+];
 
 /// What is said of all rows.
 #[derive(Clone, Debug)]
@@ -212,7 +226,7 @@ impl FaceTable {
         let mut area = floats();
         let mut normal = triple();
         let mut stats = RadiusSums::new(info.radius);
-        let mut non_manifold = 0;
+        let mut mesh_flags = [0; MESH_FLAGS.len()];
         for (f, sums) in sums.iter().enumerate() {
             let u = field.of_face[f];
             let curvature = sums.curvature(u);
@@ -244,8 +258,11 @@ impl FaceTable {
             set(surface.corners(f).any(lifted), Flag::Lifted.bit());
             set(field.degenerate[f], Flag::DegenerateNormal.bit());
             set(curvature.is_none(), Flag::NoArea.bit());
+            set(sums.no_vertex, RADIUS_TOO_SMALL);
             set(sums.non_manifold, NON_MANIFOLD);
-            non_manifold += u64::from(sums.non_manifold);
+            for (rows, (_, bit)) in mesh_flags.iter_mut().zip(MESH_FLAGS) {
+                *rows += u64::from(flags & bit != 0);
+            }
             at.flags.push(flags);
             let mu0 = measures.faces[f].mu0;
             area.push(mu0 as f32);
@@ -261,11 +278,12 @@ impl FaceTable {
             world: info.radius,
         });
         let mut flags = summary.flags;
-        flags.push(FlagCount {
-            name: "non_manifold",
-            bit: NON_MANIFOLD,
-            rows: non_manifold,
-        });
+        flags.extend(
+            MESH_FLAGS
+                .into_iter()
+                .zip(mesh_flags)
+                .map(|((name, bit), rows)| FlagCount { name, bit, rows }),
+        );
         let stats = RowStats {
             label: summary.label,
             radius: info.radius,
@@ -373,10 +391,10 @@ impl FaceTable {
             };
             Field::new(name, kind, false)
         });
-        let schema =
-            Arc::new(Schema::new(fields.collect::<Vec<_>>()).with_metadata(self.metadata()));
+        let schema = Arc::new(Schema::new(fields.collect::<Vec<_>>()));
         let properties = WriterProperties::builder()
             .set_created_by(format!("curvox version {}", self.info.version))
+            .set_key_value_metadata(Some(self.metadata()))
             .set_max_row_group_row_count(Some(ROW_GROUP_ROWS))
             .set_compression(Compression::ZSTD(ZstdLevel::default()))
             .build();
@@ -448,7 +466,8 @@ impl FaceTable {
         output.flush().map_err(failed)
     }
 
-    fn metadata(&self) -> HashMap<String, String> {
+    /// What surfels have too, under the same keys; sorted by key.
+    fn metadata(&self) -> Vec<KeyValue> {
         let columns: Vec<_> = self
             .columns
             .iter()
@@ -457,18 +476,18 @@ impl FaceTable {
         let flags: serde_json::Map<String, Value> = Flag::ALL
             .iter()
             .map(|flag| (flag.name().to_owned(), json!(flag.bit())))
-            .chain([("non_manifold".to_owned(), json!(NON_MANIFOLD))])
+            .chain(MESH_FLAGS.map(|(name, bit)| (name.to_owned(), json!(bit))))
             .collect();
         [
             ("curvox.columns", json!(columns).to_string()),
             ("curvox.conventions", self.info.conventions.join("\n")),
             ("curvox.flags", Value::Object(flags).to_string()),
             ("curvox.parameters", self.info.parameters.to_string()),
-            ("curvox.radius", json!(self.info.radius).to_string()),
+            (RADIUS_KEY, json!(self.info.radius).to_string()),
             ("curvox.version", self.info.version.clone()),
         ]
         .into_iter()
-        .map(|(key, value)| (key.to_owned(), value))
+        .map(|(key, value)| KeyValue::new(key.to_owned(), value))
         .collect()
     }
 }

@@ -29,7 +29,8 @@ pub use columns::ROW_GROUP_ROWS;
 pub use dataset::DatasetSink;
 pub use error::SinkError;
 pub use faces::{
-    FACES_FILE, FaceTable, FaceTableInfo, MeshSummary, NON_MANIFOLD, RowStats, prepare_mesh_output,
+    FACES_FILE, FaceTable, FaceTableInfo, MeshSummary, NON_MANIFOLD, RADIUS_TOO_SMALL, RowStats,
+    prepare_mesh_output,
 };
 pub use given::{GIVEN_READ_BYTES, NormalRow, NormalTable};
 pub use info::{RadiusInfo, TableInfo};

@@ -21,10 +21,11 @@ use super::batch::{CurvatureColumns, SurfelBatch};
 use super::columns::schema;
 use super::dataset::is_intact;
 use super::error::SinkError;
+use super::faces::{FACES_FILE, RADIUS_KEY};
 use super::info::TableInfo;
 use super::output::{SUMMARY_FILE, SURFELS_DIRECTORY};
 use super::parts::Parts;
-use super::run_record::{RunRecord, RunState};
+use super::run_record::{RUN_FILE, RunRecord, RunState};
 
 /// Rows of a batch that [`RowReader`] gives.
 const READ_ROWS: usize = 8192;
@@ -54,7 +55,7 @@ pub struct OutputInfo {
     pub columns: Vec<(String, String)>,
     /// Key-value metadata of the table.
     pub metadata: BTreeMap<String, String>,
-    /// Frame, units and parameters out of the metadata; `None` if no file was written.
+    /// Frame, units and parameters out of the metadata; `None` if no file was written, and for meshes.
     pub table: Option<TableInfo>,
     /// The record of the run; `None` for a single file.
     pub run: Option<RunRecord>,
@@ -63,7 +64,8 @@ pub struct OutputInfo {
 }
 
 impl OutputInfo {
-    /// Looks at an output directory or at a Parquet file of the table.
+    /// Looks at an output directory or at a Parquet file of the table; also at those of a mesh, which have no
+    /// frame ([`OutputInfo::table`]) and no record of a run.
     ///
     /// # Errors
     ///
@@ -100,6 +102,12 @@ impl OutputInfo {
 
     fn open_directory(path: &Path, check: Check) -> Result<Self, SinkError> {
         let mut info = Self::empty(path);
+        let faces = path.join(FACES_FILE);
+        if faces.exists() && !path.join(RUN_FILE).exists() {
+            info.add_file(&faces)?;
+            info.summary = read_summary(path)?;
+            return Ok(info);
+        }
         let run = RunRecord::read(path)?;
         let folder = path.join(SURFELS_DIRECTORY);
         for part in &run.parts {
@@ -121,14 +129,7 @@ impl OutputInfo {
                 return Err(damaged(&file, "number of rows", rows, part.rows));
             }
         }
-        let summary = path.join(SUMMARY_FILE);
-        if summary.exists() {
-            let text = fs::read_to_string(&summary)
-                .map_err(|source| SinkError::io(&summary, "read", source))?;
-            let value = serde_json::from_str(&text)
-                .map_err(|error| damaged(&summary, "contents", error, "JSON"))?;
-            info.summary = Some(value);
-        }
+        info.summary = read_summary(path)?;
         info.run = Some(run);
         Ok(info)
     }
@@ -136,8 +137,12 @@ impl OutputInfo {
     /// Adds a file of the table, which must look like those before it; gives its rows.
     fn add_file(&mut self, path: &Path) -> Result<u64, SinkError> {
         let builder = open_parquet(path)?;
-        let table = table_info(path, &builder)?;
         let metadata: BTreeMap<_, _> = key_values(&builder).collect();
+        let table = if metadata.contains_key(RADIUS_KEY) {
+            None
+        } else {
+            Some(table_info(path, &builder)?)
+        };
         if !self.files.is_empty() && metadata != self.metadata {
             return Err(damaged(
                 path,
@@ -152,7 +157,7 @@ impl OutputInfo {
             .map(|f| (f.name().clone(), f.data_type().to_string()))
             .collect();
         self.metadata = metadata;
-        self.table = Some(table);
+        self.table = table;
         let rows = u64::try_from(builder.metadata().file_metadata().num_rows())
             .map_err(|_| damaged(path, "number of rows", "a negative one", "at least 0"))?;
         self.rows = self.rows.saturating_add(rows);
@@ -160,6 +165,12 @@ impl OutputInfo {
         self.bytes = self.bytes.saturating_add(size.len());
         self.files.push(path.to_owned());
         Ok(rows)
+    }
+
+    /// Whether the rows are faces of a mesh.
+    #[must_use]
+    pub fn is_of_mesh(&self) -> bool {
+        self.metadata.contains_key(RADIUS_KEY)
     }
 
     /// Asks that the run reached its end.
@@ -250,6 +261,18 @@ type Builder = ParquetRecordBatchReaderBuilder<File>;
 fn open_parquet(path: &Path) -> Result<Builder, SinkError> {
     let file = File::open(path).map_err(|source| SinkError::io(path, "open", source))?;
     Builder::try_new(file).map_err(|error| damaged(path, "footer", error, "a whole Parquet file"))
+}
+
+/// `summary.json` of a directory, if it is there.
+fn read_summary(directory: &Path) -> Result<Option<Value>, SinkError> {
+    let path = directory.join(SUMMARY_FILE);
+    if !path.exists() {
+        return Ok(None);
+    }
+    let text = fs::read_to_string(&path).map_err(|source| SinkError::io(&path, "read", source))?;
+    serde_json::from_str(&text)
+        .map(Some)
+        .map_err(|error| damaged(&path, "contents", error, "JSON"))
 }
 
 fn key_values(builder: &Builder) -> impl Iterator<Item = (String, String)> {

@@ -6,9 +6,11 @@
 
 use std::f64::consts::{PI, TAU};
 use std::fmt::Write as _;
+use std::fs::OpenOptions;
+use std::io::Write as _;
 use std::path::PathBuf;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use clap::{Args, Subcommand};
 use glam::DVec3;
 
@@ -232,10 +234,10 @@ pub enum MeshCommand {
         #[arg(long, value_parser = clap::value_parser!(u32).range(3..=10_000))]
         n: u32,
         /// Radius of the cylinder
-        #[arg(long, default_value_t = 1.0)]
+        #[arg(long, default_value_t = 1.0, value_parser = length, allow_hyphen_values = true)]
         radius: f64,
         /// Height of the cylinder
-        #[arg(long, default_value_t = 1.0)]
+        #[arg(long, default_value_t = 1.0, value_parser = length, allow_hyphen_values = true)]
         height: f64,
         /// Give the cylinder's normals at the middles of the horizontal edges to faces, in place of
         /// those at vertices
@@ -251,7 +253,7 @@ pub enum MeshCommand {
         #[arg(long, value_parser = clap::value_parser!(u32).range(0..=9))]
         levels: u32,
         /// Radius of the sphere
-        #[arg(long, default_value_t = 1.0)]
+        #[arg(long, default_value_t = 1.0, value_parser = length, allow_hyphen_values = true)]
         radius: f64,
         /// Where to write.
         #[command(flatten)]
@@ -260,10 +262,10 @@ pub enum MeshCommand {
     /// Write a torus of quadrangles
     Torus {
         /// Radius of the circle in the middle of the tube
-        #[arg(long, default_value_t = 2.0)]
+        #[arg(long, default_value_t = 2.0, value_parser = length, allow_hyphen_values = true)]
         major: f64,
-        /// Radius of the tube
-        #[arg(long, default_value_t = 1.0)]
+        /// Radius of the tube, smaller than that of the circle
+        #[arg(long, default_value_t = 1.0, value_parser = length, allow_hyphen_values = true)]
         minor: f64,
         /// Quadrangles around the axis
         #[arg(long, value_parser = clap::value_parser!(u32).range(3..=10_000))]
@@ -283,13 +285,52 @@ pub struct Output {
     /// The OBJ file to write
     #[arg(short, long, value_name = "FILE.obj")]
     output: PathBuf,
+    /// Replace a file that is there
+    #[arg(long)]
+    overwrite: bool,
+}
+
+impl Output {
+    fn write(&self, text: &str) -> Result<()> {
+        let path = &self.output;
+        let is_obj = path
+            .extension()
+            .is_some_and(|e| e.eq_ignore_ascii_case("obj"));
+        ensure!(
+            is_obj,
+            "{}: the name of an OBJ file ends in .obj",
+            path.display()
+        );
+        let mut options = OpenOptions::new();
+        options.write(true);
+        if self.overwrite {
+            options.create(true).truncate(true);
+        } else {
+            options.create_new(true);
+        }
+        options
+            .open(path)
+            .and_then(|mut file| file.write_all(text.as_bytes()))
+            .with_context(|| match path.exists() && !self.overwrite {
+                true => format!("{} (--overwrite replaces it)", path.display()),
+                false => path.display().to_string(),
+            })
+    }
+}
+
+/// A length of a shape.
+fn length(text: &str) -> Result<f64, String> {
+    text.parse()
+        .ok()
+        .filter(|length: &f64| *length > 0.0 && length.is_finite())
+        .ok_or_else(|| format!("'{text}' is not a length above 0"))
 }
 
 impl MeshCommand {
     /// Writes the file.
     ///
     /// # Errors
-    /// If it cannot be written.
+    /// If the radii make no torus, the name does not end in .obj, or the file is there or cannot be written.
     pub fn run(self) -> Result<()> {
         let (mesh, face_normals, output) = match self {
             Self::Lantern {
@@ -311,9 +352,14 @@ impl MeshCommand {
                 around,
                 across,
                 output,
-            } => (torus(major, minor, around, across), false, output),
+            } => {
+                ensure!(
+                    minor < major,
+                    "--minor {minor} is not below --major {major}: the torus would cut itself"
+                );
+                (torus(major, minor, around, across), false, output)
+            }
         };
-        let path = output.output;
-        std::fs::write(&path, mesh.to_obj(face_normals)).with_context(|| path.display().to_string())
+        output.write(&mesh.to_obj(face_normals))
     }
 }

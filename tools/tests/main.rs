@@ -15,5 +15,8 @@ mod agreement;
 /// What DGtal's cells and walk do on small solids.
 mod dgtal;
 
+/// What the writers of meshes refuse.
+mod meshes;
+
 /// The experiments of the paper, quickly.
 mod paper;

@@ -23,6 +23,7 @@ use std::io::Read;
 use std::path::Path;
 use std::str::FromStr;
 
+use crate::detect::looks_like_no_mesh;
 use crate::error::Error;
 use crate::input::{Input, read_error};
 use crate::open::decompress;
@@ -224,15 +225,34 @@ pub fn read_mesh(
     Ok(mesh)
 }
 
-/// The format by the first bytes, then by the ending of the name, then by the first word.
-fn detect(input: &mut Input, name: &str) -> Result<MeshFormat, Error> {
-    const HEAD_BYTES: usize = 1024;
-    let head = input.peek(HEAD_BYTES).map_err(|e| read_error(name, 0, e))?;
+/// The format of meshes that a file has, by its first bytes or its name; `None` if it is something else, cannot
+/// be read, or could be anything: a binary STL under another name has nothing to know it by.
+#[must_use]
+pub fn recognise_mesh(path: &Path) -> Option<MeshFormat> {
+    if !path.is_file() {
+        return None;
+    }
+    let name = path.display().to_string();
+    let file = File::open(path).ok()?;
+    let (mut input, _) = decompress(Input::new(file), &name).ok()?;
+    let head = input.peek(HEAD_BYTES).ok()?;
+    by_head_or_name(head, &name).ok()?
+}
+
+/// Bytes that decide the format.
+const HEAD_BYTES: usize = 1024;
+
+/// The format by the first bytes, then by the ending of the name, then by the first word. An error is
+/// the name of another format the content has.
+fn by_head_or_name(head: &[u8], name: &str) -> Result<Option<MeshFormat>, String> {
     if head.starts_with(b"ply\n") || head.starts_with(b"ply\r") {
-        return Ok(MeshFormat::Ply);
+        return Ok(Some(MeshFormat::Ply));
     }
     if stl::begins_solid(head) {
-        return Ok(MeshFormat::Stl);
+        return Ok(Some(MeshFormat::Stl));
+    }
+    if let Some(other) = looks_like_no_mesh(head) {
+        return Err(other);
     }
     let lower = name.to_ascii_lowercase();
     let stem = lower
@@ -242,11 +262,20 @@ fn detect(input: &mut Input, name: &str) -> Result<MeshFormat, Error> {
     for format in [MeshFormat::Obj, MeshFormat::Ply, MeshFormat::Stl] {
         let ending = stem.strip_suffix(format.name());
         if ending.is_some_and(|rest| rest.ends_with('.')) {
-            return Ok(format);
+            return Ok(Some(format));
         }
     }
-    if obj::looks_like(head) {
-        return Ok(MeshFormat::Obj);
+    Ok(obj::looks_like(head).then_some(MeshFormat::Obj))
+}
+
+/// The format, of which something is expected to be there.
+fn detect(input: &mut Input, name: &str) -> Result<MeshFormat, Error> {
+    let head = input.peek(HEAD_BYTES).map_err(|e| read_error(name, 0, e))?;
+    let found = by_head_or_name(head, name).map_err(|other| {
+        Error::unsupported(name, format!("not a mesh: the content looks like {other}"))
+    })?;
+    if let Some(format) = found {
+        return Ok(format);
     }
     // Binary STL has no magic number; that its length fits is checked by its reader.
     if head.contains(&0) && head.len() >= stl::HEADER_BYTES {

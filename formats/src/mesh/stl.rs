@@ -1,8 +1,8 @@
 //! STL: loose triangles with a normal each, as text or binary.
 //!
 //! In: a file. Out: a mesh of triangles; corners at exactly the same place are one vertex.
-//! Binary or text is decided by content: a length that fits the binary header says binary,
-//! also where that header begins with `solid`. Several solids in a text file are one mesh.
+//! Binary or text is decided by content: a file that does not begin with `solid` is binary, and one that
+//! does is so if its length fits the binary header or its first bytes are no text. Several solids in a text file are one mesh.
 //! A facet normal of zero is one that is not given. Attributes and colours are ignored.
 
 use crate::error::Error;
@@ -22,11 +22,17 @@ pub(super) fn begins_solid(head: &[u8]) -> bool {
     head.len() > 5 && head[..5].eq_ignore_ascii_case(b"solid") && head[5].is_ascii_whitespace()
 }
 
+/// Whether bytes hold what no text does. A triangle of a binary file has zeros as soon as it has short
+/// numbers or no attributes.
+fn is_no_text(head: &[u8]) -> bool {
+    head.iter()
+        .any(|b| b.is_ascii_control() && !b.is_ascii_whitespace())
+}
+
 pub(super) fn read(input: &mut Input, name: &str) -> Result<Mesh, Error> {
-    let head = input
-        .peek(HEADER_BYTES)
-        .map_err(|e| read_error(name, 0, e))?;
-    let solid = begins_solid(head);
+    const LOOK_BYTES: usize = HEADER_BYTES + 4 * FACET_BYTES;
+    let head = input.peek(LOOK_BYTES).map_err(|e| read_error(name, 0, e))?;
+    let solid = begins_solid(head) && !is_no_text(head);
     let mut bytes = Vec::new();
     let append = |input: &mut Input, count: u64, bytes: &mut Vec<u8>| {
         let read = input.append(count, bytes);
