@@ -29,7 +29,7 @@ pub mod vcm;
 use glam::DVec3;
 
 use crate::khalimsky::{Adjacency, Direction, OrientedSurfel, axis, sign};
-use crate::lattice::{Ball, Lattice, LatticeError};
+use crate::lattice::{Lattice, LatticeError};
 use crate::surfel::{CellBox, Surfels};
 use crate::volume::{GreyWindow, PlaneWindow};
 
@@ -197,17 +197,6 @@ impl NormalKernel {
     #[must_use]
     pub fn needs_grey(&self) -> bool {
         matches!(self, Self::Gradient(_))
-    }
-
-    /// The ball looked at, if there is one.
-    #[must_use]
-    pub fn ball(&self) -> Option<&Ball> {
-        match self {
-            Self::Trivial | Self::Gradient(_) | Self::Given => None,
-            Self::Integral(kernel) => Some(kernel.ball()),
-            Self::Vcm(kernel) => Some(kernel.ball()),
-            Self::Average(kernel) => Some(kernel.ball()),
-        }
     }
 
     /// Memory while the normals of a brick of at most `core` cells are made, for the worst volume;

@@ -186,11 +186,6 @@ impl VcmKernel {
         })
     }
 
-    /// r.
-    pub(super) fn ball(&self) -> &Ball {
-        &self.hat
-    }
-
     fn side_ball(&self) -> &Ball {
         match self.side {
             Side::Surface => self.average.ball(),
