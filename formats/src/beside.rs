@@ -1,80 +1,89 @@
 //! Files that a header names.
 //!
 //! In: names as they are written in a header, single, in a list, or as a pattern with a number. Out:
-//! paths of files that exist. A name is meant relative to the folder of the header. Guaranteed: the
-//! files are regular files below that folder (links resolved), unless the caller allowed others
-//! ([`OpenOptions::outside`](crate::OpenOptions)); no more than [`FILES_MOST`] are looked for; files that
-//! are missing are told together, in one error.
+//! paths of files that exist, and which of them hold the volume to be read. Guaranteed: names are
+//! followed as [`Context::beside`] allows; no more than [`FILES_MOST`] are looked for; files that are
+//! missing are told together, in one error.
 
-use std::path::{Component, Path, PathBuf};
+use std::path::PathBuf;
 
 use crate::error::Error;
-use crate::open::Context;
+use crate::parsed::{Context, Elsewhere, Parsed, Start};
 
 /// The most files of one volume. A header of some bytes can claim any number of them, and each is
 /// looked for.
 const FILES_MOST: u64 = 1 << 17;
 
 /// The paths of the files called `names` in a header.
-pub(crate) fn files(
-    names: &[String],
-    context: &Context<'_>,
-) -> Result<Vec<PathBuf>, Error> {
-    let Some(header) = context.path else {
-        return Err(Error::unsupported(
-            context.name,
-            "this header's voxels are in other files, which cannot be found from a stream",
-        ));
-    };
+pub(crate) fn files(names: &[String], context: &Context<'_>) -> Result<Vec<PathBuf>, Error> {
+    /// More that are missing are not counted: looking for each takes time.
+    const MISSING_MOST: usize = 1000;
     check_count(names.len() as u64, context)?;
-    let folder = match header.parent() {
-        Some(parent) if parent != Path::new("") => parent,
-        _ => Path::new("."),
-    };
-    let canonical = std::fs::canonicalize(folder)
-        .map_err(|e| Error::io(context.name, "the folder of the header cannot be read", e))?;
-    let (mut paths, mut missing, mut examples) = (Vec::new(), 0_u64, Vec::new());
+    let (mut paths, mut missing) = (Vec::new(), Vec::new());
     for name in names {
-        let path = find(folder, name);
-        let real = std::fs::canonicalize(&path);
-        let inside = match &real {
-            Ok(real) => real.starts_with(&canonical),
-            Err(_) => stays_below(Path::new(name)),
-        };
-        if !inside && !context.options.outside {
-            return Err(Error::unsupported(
-                context.name,
-                format!(
-                    "the header names the file '{name}', which is outside of the header's folder; \
-                     that is only followed when allowed (--outside)"
-                ),
-            ));
-        }
+        let path = context.beside(name)?;
         if path.is_file() {
             paths.push(path);
         } else {
-            missing += 1;
-            if examples.len() < 3 {
-                examples.push(path.display().to_string());
-            }
+            missing.push(path.display().to_string());
+        }
+        if missing.len() >= MISSING_MOST {
+            break;
         }
     }
-    if missing > 0 {
-        let more = if missing > examples.len() as u64 {
-            ", ..."
-        } else {
-            ""
-        };
-        let all = missing + paths.len() as u64;
-        return Err(Error::invalid(
-            context.name,
-            format!(
-                "the voxels are in other files, of which {missing} of {all} are missing: {}{more}",
-                examples.join(", ")
-            ),
-        ));
+    if missing.is_empty() {
+        return Ok(paths);
     }
-    Ok(paths)
+    let count = match missing.len() {
+        MISSING_MOST => format!("{MISSING_MOST} or more"),
+        count => count.to_string(),
+    };
+    missing.truncate(3);
+    let which = missing.join(", ");
+    Err(Error::invalid(
+        context.name,
+        match names.len() {
+            1 => format!("the voxels are in another file, which is missing: {which}"),
+            all => format!("the voxels are in {all} files, of which {count} are missing: {which}"),
+        },
+    ))
+}
+
+/// Says where the volume `frame` of `frames` is, when `paths` hold equal shares of all of them.
+pub(crate) fn share(
+    parsed: &mut Parsed,
+    paths: Vec<PathBuf>,
+    frame: u64,
+    frames: u64,
+    name: &str,
+) -> Result<(), Error> {
+    let files = paths.len() as u64;
+    let bytes = parsed.header.voxels_bytes().unwrap_or(u64::MAX);
+    let mine = |first: u64, count: u64| paths.into_iter().skip(first as usize).take(count as usize);
+    parsed.elsewhere = if files > 0 && files.is_multiple_of(frames) {
+        let count = files / frames;
+        let mine: Vec<_> = mine(frame * count, count).collect();
+        parsed.frames_behind = 0;
+        // One file can be mapped.
+        if count == 1 {
+            Elsewhere::FirstOf(mine)
+        } else {
+            Elsewhere::Files(mine)
+        }
+    } else if files > 0 && frames.is_multiple_of(files) {
+        let count = frames / files;
+        parsed.frames_behind = count - 1 - frame % count;
+        if let Start::Bytes(skip) = &mut parsed.start {
+            *skip = skip.saturating_add((frame % count).saturating_mul(bytes));
+        }
+        Elsewhere::FirstOf(mine(frame / count, 1).collect())
+    } else {
+        return Err(Error::unsupported(
+            name,
+            format!("{frames} volumes in {files} files: neither number divides the other"),
+        ));
+    };
+    Ok(())
 }
 
 /// Refuses more files than are looked for.
@@ -86,29 +95,6 @@ pub(crate) fn check_count(count: u64, context: &Context<'_>) -> Result<(), Error
         ));
     }
     Ok(())
-}
-
-/// The path that `name` stands for. Headers written on Windows may separate folders by backslashes.
-fn find(folder: &Path, name: &str) -> PathBuf {
-    let path = folder.join(name);
-    if name.contains('\\') && !path.exists() {
-        return folder.join(name.replace('\\', "/"));
-    }
-    path
-}
-
-/// Whether a relative path never climbs above where it starts, by its words alone.
-fn stays_below(path: &Path) -> bool {
-    let mut depth = 0_u32;
-    for component in path.components() {
-        match component {
-            Component::Normal(_) => depth += 1,
-            Component::CurDir => {}
-            Component::ParentDir if depth > 0 => depth -= 1,
-            Component::ParentDir | Component::RootDir | Component::Prefix(_) => return false,
-        }
-    }
-    true
 }
 
 /// A name with one number in it, as `slice%03d.raw`.
@@ -192,15 +178,5 @@ mod tests {
         assert_eq!(steps(1, 10, 0), None);
         assert_eq!(steps(1, 10, -1), None);
         assert_eq!(steps(i64::MIN, i64::MAX, 1), None);
-    }
-
-    #[test]
-    fn a_name_that_climbs_out_is_seen_by_its_words() {
-        for name in ["a.raw", "./a.raw", "b/a.raw", "b/../a.raw"] {
-            assert!(stays_below(Path::new(name)), "{name}");
-        }
-        for name in ["../a.raw", "b/../../a.raw", "/etc/a.raw", ".."] {
-            assert!(!stays_below(Path::new(name)), "{name}");
-        }
     }
 }

@@ -35,6 +35,8 @@
 
 pub mod conformance;
 
+mod beside;
+
 mod bytes;
 
 mod chunked;
@@ -51,13 +53,19 @@ mod header;
 
 mod input;
 
+mod lines;
+
 mod map;
 
 pub mod mesh;
 
+mod metaimage;
+
 mod nifti;
 
 mod npy;
+
+mod nrrd;
 
 mod open;
 
@@ -65,13 +73,19 @@ mod options;
 
 mod parsed;
 
+mod placement;
+
 mod raw;
 
 mod registry;
 
+mod shares;
+
 mod stored;
 
 mod stream;
+
+mod text;
 
 mod vol;
 

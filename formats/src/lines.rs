@@ -9,7 +9,7 @@ use std::io::BufRead;
 
 use crate::error::Error;
 use crate::input::Input;
-use crate::open::Context;
+use crate::parsed::Context;
 
 /// The longest header that is read. Lists of ten thousands of files need some megabytes; no header
 /// needs more.

@@ -45,7 +45,7 @@ pub(crate) fn header_of_image(path: &Path) -> Option<PathBuf> {
         // Other programs have .hdr files, too; they keep their .img to themselves.
         let head = std::fs::File::open(candidate).ok().and_then(|file| {
             let mut input = Input::new(file);
-            let head = input.peek(4).ok()?;
+            let head = input.peek(crate::input::Compression::MAGIC_BYTES).ok()?;
             if let Some(compression) = crate::input::Compression::detect(head) {
                 input = input.decompressed(compression).ok()?;
             }
@@ -58,7 +58,7 @@ pub(crate) fn header_of_image(path: &Path) -> Option<PathBuf> {
 /// Paths that differ from `path` in the extension `from`, which becomes `to`, compressed or not.
 /// The spelling that matches `path` comes first.
 fn siblings(path: &Path, from: &str, to: &str) -> Option<Vec<PathBuf>> {
-    const COMPRESSED: [&str; 3] = ["", ".gz", ".zst"];
+    const COMPRESSED: [&str; 4] = ["", ".gz", ".zst", ".bz2"];
     let file = path.file_name()?.to_str()?;
     COMPRESSED.into_iter().find_map(|suffix| {
         let stem = file.strip_suffix(suffix)?;
@@ -268,7 +268,7 @@ pub(crate) fn parse(input: &mut Input, context: &Context<'_>) -> Result<Parsed, 
     header.scaling = scaling(&fields, &mut header.warnings, name);
 
     let offset = voxel_offset(&fields, format, pair, &mut header.warnings, name)?;
-    let frame = frame(frames, context)?;
+    let frame = context.frame(frames)?;
     let skip = header
         .voxels_bytes()
         .and_then(|bytes| bytes.checked_mul(frame));
@@ -373,26 +373,6 @@ fn dims(fields: &Fields, format: Format, name: &str) -> Result<([u64; 3], u64), 
         }
     }
     Ok((dims, frames))
-}
-
-/// The frame to read.
-fn frame(frames: u64, context: &Context<'_>) -> Result<u64, Error> {
-    match context.options.frame {
-        None if frames == 1 => Ok(0),
-        None => Err(Error::unsupported(
-            context.name,
-            format!(
-                "holds {frames} volumes (time points or channels): choose one with --frame N, 0 \
-                 to {}",
-                frames - 1
-            ),
-        )),
-        Some(frame) if frame < frames => Ok(frame),
-        Some(frame) => Err(Error::invalid(
-            context.name,
-            format!("frame {frame} was asked for, 0 to {} are there", frames - 1),
-        )),
-    }
 }
 
 fn voxel_offset(

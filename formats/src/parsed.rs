@@ -18,6 +18,16 @@ pub(crate) enum Encoding {
     Raw,
     /// zlib data (RFC 1950).
     Zlib,
+    /// gzip members.
+    Gzip,
+    /// bzip2 streams.
+    Bzip2,
+    /// Zstandard frames.
+    Zstd,
+    /// Numbers in text.
+    Text,
+    /// Two hexadecimal digits for each byte.
+    Hex,
 }
 
 /// The files that hold the voxels.
@@ -44,6 +54,8 @@ pub(crate) enum Start {
 #[derive(Debug)]
 pub(crate) struct Parsed {
     pub(crate) header: Header,
+    /// Lines to pass in files other than the header's, before `offset` is counted.
+    pub(crate) lines: u64,
     /// Offset of the (encoded) voxels in the (decompressed) file that holds them.
     pub(crate) offset: u64,
     pub(crate) encoding: Encoding,
@@ -61,6 +73,7 @@ impl Parsed {
     pub(crate) fn new(header: Header, offset: u64) -> Self {
         Self {
             header,
+            lines: 0,
             offset,
             encoding: Encoding::Raw,
             start: Start::Bytes(0),
@@ -105,6 +118,26 @@ impl Context<'_> {
     /// The error a failed read of the header is.
     pub(crate) fn read_error(&self, input: &Input, error: std::io::Error) -> Error {
         read_error(self.name, input.position(), error)
+    }
+
+    /// The volume to read out of `frames`: the one that was asked for, or the only one.
+    pub(crate) fn frame(&self, frames: u64) -> Result<u64, Error> {
+        match self.options.frame {
+            None if frames == 1 => Ok(0),
+            None => Err(Error::unsupported(
+                self.name,
+                format!(
+                    "holds {frames} volumes (time points or channels): choose one with --frame N, \
+                     0 to {}",
+                    frames - 1
+                ),
+            )),
+            Some(frame) if frame < frames => Ok(frame),
+            Some(frame) => Err(Error::invalid(
+                self.name,
+                format!("frame {frame} was asked for, 0 to {} are there", frames - 1),
+            )),
+        }
     }
 
     /// The path of the file that the header calls `named`, which must lie in the header's folder

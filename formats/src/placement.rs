@@ -5,7 +5,7 @@
 //! edge reverses the direction of its axis, so that the world stays as the file has it.
 
 use crate::header::{Header, Unit};
-use crate::open::is_plausible_spacing;
+use crate::parsed::is_plausible_spacing;
 
 /// Cosines and relative lengths that differ by less come from rounding of printed numbers.
 pub(crate) const ROUNDING: f64 = 1e-3;

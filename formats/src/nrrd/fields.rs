@@ -8,7 +8,7 @@
 use crate::error::Error;
 use crate::input::Input;
 use crate::lines::{Line, next_line};
-use crate::open::Context;
+use crate::parsed::Context;
 
 /// The first letters of every NRRD file; the version follows.
 pub(crate) const MAGIC: &[u8] = b"NRRD0";
