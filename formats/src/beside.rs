@@ -164,7 +164,14 @@ mod tests {
         assert_eq!(name("%d", 5).as_deref(), Some("5"));
         assert_eq!(name("x%3dy", 5).as_deref(), Some("x  5y"));
         assert_eq!(name("x%04iy", -5).as_deref(), Some("x-005y"));
-        for text in ["a.raw", "a%", "a%3", "a%s", "a%999999999999999999999d", "%n"] {
+        for text in [
+            "a.raw",
+            "a%",
+            "a%3",
+            "a%s",
+            "a%999999999999999999999d",
+            "%n",
+        ] {
             assert_eq!(name(text, 1), None, "{text}");
         }
     }

@@ -151,7 +151,12 @@ pub(crate) fn skip_lines(input: &mut Input, lines: u64, name: &str) -> Result<()
     Ok(())
 }
 
-pub(crate) fn skip_to_voxels(input: &mut Input, skip: u64, start: u64, name: &str) -> Result<(), Error> {
+pub(crate) fn skip_to_voxels(
+    input: &mut Input,
+    skip: u64,
+    start: u64,
+    name: &str,
+) -> Result<(), Error> {
     let skipped = input
         .skip(skip)
         .map_err(|e| read_error(name, input.position(), e))?;

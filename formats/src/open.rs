@@ -384,7 +384,12 @@ impl Place<'_> {
     /// Counts the lines that are to be passed as bytes.
     fn pass_lines(&self, parsed: &mut Parsed, path: &Path) -> Result<(), Error> {
         if parsed.lines > 0 {
-            let input = undecoded(path, self.name, parsed.encoding == Encoding::Raw, parsed.lines)?;
+            let input = undecoded(
+                path,
+                self.name,
+                parsed.encoding == Encoding::Raw,
+                parsed.lines,
+            )?;
             parsed.offset = parsed.offset.saturating_add(input.position());
             parsed.lines = 0;
         }

@@ -49,8 +49,7 @@ pub(crate) fn take_vectors(
         ));
         return None;
     }
-    let unit: [[f64; 3]; 3] =
-        std::array::from_fn(|axis| vectors[axis].map(|x| x / lengths[axis]));
+    let unit: [[f64; 3]; 3] = std::array::from_fn(|axis| vectors[axis].map(|x| x / lengths[axis]));
     let dot = |a: usize, b: usize| (0..3).map(|r| unit[a][r] * unit[b][r]).sum::<f64>();
     let volume: f64 = (0..3)
         .map(|r| {

@@ -125,12 +125,7 @@ impl ForwardVoxels for SharesVoxels {
 
 /// The bytes of a file from behind some lines on; `whole` if a compression of the whole file is to be
 /// undone.
-pub(crate) fn undecoded(
-    path: &Path,
-    name: &str,
-    whole: bool,
-    lines: u64,
-) -> Result<Input, Error> {
+pub(crate) fn undecoded(path: &Path, name: &str, whole: bool, lines: u64) -> Result<Input, Error> {
     let file = File::open(path).map_err(|e| Error::io(name, "cannot be opened", e))?;
     let mut input = Input::new(file);
     if whole {

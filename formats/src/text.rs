@@ -190,9 +190,7 @@ fn whole<T: std::str::FromStr + TryFrom<i64>>(text: &str) -> Option<T> {
 /// A real number. One that is too large is infinite, which must be what the text says.
 fn real<T: std::str::FromStr + Copy>(text: &str, is_infinite: fn(T) -> bool) -> Option<T> {
     let number: T = text.parse().ok()?;
-    let said = text
-        .trim_start_matches(['+', '-'])
-        .starts_with(['i', 'I']);
+    let said = text.trim_start_matches(['+', '-']).starts_with(['i', 'I']);
     (said || !is_infinite(number)).then_some(number)
 }
 
@@ -238,8 +236,14 @@ mod tests {
 
     #[test]
     fn numbers_become_voxels_of_their_type() {
-        assert_eq!(read("1 2\n3,4\r\n255 ", VoxelType::U8, 5), Ok(vec![1, 2, 3, 4, 255]));
-        assert_eq!(read("-1 +2 3.0 1e2", VoxelType::I8, 4), Ok(vec![255, 2, 3, 100]));
+        assert_eq!(
+            read("1 2\n3,4\r\n255 ", VoxelType::U8, 5),
+            Ok(vec![1, 2, 3, 4, 255])
+        );
+        assert_eq!(
+            read("-1 +2 3.0 1e2", VoxelType::I8, 4),
+            Ok(vec![255, 2, 3, 100])
+        );
         let floats = read("1.5 inf -Infinity 1e-50", VoxelType::F32, 4).unwrap();
         let values: Vec<_> = floats
             .chunks(4)

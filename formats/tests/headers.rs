@@ -406,7 +406,6 @@ fn the_format_can_be_forced_but_not_against_the_content() {
 fn other_formats_are_refused_by_name() {
     for (bytes, name) in [
         (&b"II*\0\x08\0\0\0"[..], "TIFF"),
-        (b"NRRD0004\n", "NRRD"),
         (b"\x89HDF\r\n\x1a\n", "HDF5"),
         (b"PK\x03\x04rest", "npz"),
         (b"P2-3D\n9 9 9\n", "PGM3D"),

@@ -108,11 +108,10 @@ impl Fields {
                 return Ok(fields);
             }
         }
-        Err(Error::invalid(
-            name,
-            "the header ends without the line ElementDataFile",
+        Err(
+            Error::invalid(name, "the header ends without the line ElementDataFile")
+                .at(input.position()),
         )
-        .at(input.position()))
     }
 
     pub(super) fn find(&self, name: &str) -> Option<&Field> {

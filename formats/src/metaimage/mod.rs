@@ -206,12 +206,7 @@ fn voxel(fields: &Fields, name: &str) -> Result<VoxelType, Error> {
 }
 
 /// Spacing, unit, origin and direction.
-fn place(
-    fields: &Fields,
-    count: usize,
-    header: &mut Header,
-    name: &str,
-) -> Result<(), Error> {
+fn place(fields: &Fields, count: usize, header: &mut Header, name: &str) -> Result<(), Error> {
     let triple = |field: &Field| -> Result<[f64; 3], Error> {
         let all = field.numbers(3, name)?;
         Ok([all[0], all[1], all[2]])
@@ -397,11 +392,7 @@ fn list(
 
 /// The names that a pattern stands for, one for each of the last axis: the pattern, and up to three
 /// numbers (first, last, step). `None` if there is no pattern.
-fn numbered(
-    data: &Field,
-    count: u64,
-    context: &Context<'_>,
-) -> Result<Option<Vec<String>>, Error> {
+fn numbered(data: &Field, count: u64, context: &Context<'_>) -> Result<Option<Vec<String>>, Error> {
     let name = context.name;
     let mut text = data.value.as_str();
     let mut numbers = Vec::new();
@@ -423,7 +414,9 @@ fn numbered(
         [first] => (*first, 1),
         [first, last] if steps_between > 0 => (
             *first,
-            last.saturating_sub(*first).checked_div(steps_between).unwrap_or(1),
+            last.saturating_sub(*first)
+                .checked_div(steps_between)
+                .unwrap_or(1),
         ),
         [first, _] => (*first, 1),
         [first, last, step, ..] => {

@@ -40,7 +40,11 @@ enum Role {
 }
 
 impl Axes {
-    pub(super) fn read(fields: &Fields, warnings: &mut Vec<String>, file: &str) -> Result<Self, Error> {
+    pub(super) fn read(
+        fields: &Fields,
+        warnings: &mut Vec<String>,
+        file: &str,
+    ) -> Result<Self, Error> {
         let dimension = fields.need("dimension", file)?;
         let count: usize = dimension.number(file, "a number from 1 to 16")?;
         if !(1..=AXES_MOST).contains(&count) {
@@ -139,7 +143,15 @@ fn kinds(
 /// Whether a kind (in lower case) is one of the specification that is not of space.
 fn is_range_kind(word: &str) -> bool {
     const WORDS: [&str; 10] = [
-        "time", "list", "point", "vector", "normal", "stub", "scalar", "complex", "quaternion",
+        "time",
+        "list",
+        "point",
+        "vector",
+        "normal",
+        "stub",
+        "scalar",
+        "complex",
+        "quaternion",
         "gradient",
     ];
     // RGB-color, 3D-masked-symmetric-matrix, covariant-vector and their like.
@@ -198,7 +210,11 @@ fn space(roles: &mut [Role], sizes: &[u64], file: &str) -> Result<[usize; 3], Er
         .collect();
     while axes.len() > 3 {
         // A first axis of one sample is a stub that nobody named.
-        let at = if sizes[axes[0]] == 1 { 0 } else { axes.len() - 1 };
+        let at = if sizes[axes[0]] == 1 {
+            0
+        } else {
+            axes.len() - 1
+        };
         let axis = axes.remove(at);
         roles[axis] = Role::Other(match roles[axis] {
             Role::Space => "domain".into(),

@@ -146,11 +146,10 @@ impl Fields {
             return Ok(false);
         };
         if self.find(field).is_some() {
-            return Err(Error::invalid(
-                name,
-                format!("the header has the field '{field}' twice"),
-            )
-            .at(line.at));
+            return Err(
+                Error::invalid(name, format!("the header has the field '{field}' twice"))
+                    .at(line.at),
+            );
         }
         let value = value.trim().to_string();
         let list = field == "data file" && (value == "LIST" || value.starts_with("LIST "));

@@ -110,8 +110,13 @@ fn voxel(fields: &Fields, name: &str) -> Result<VoxelType, Error> {
         }
         "int" | "signed int" | "int32" | "int32_t" => VoxelType::I32,
         "uint" | "unsigned int" | "uint32" | "uint32_t" => VoxelType::U32,
-        "longlong" | "long long" | "long long int" | "signed long long"
-        | "signed long long int" | "int64" | "int64_t" => VoxelType::I64,
+        "longlong"
+        | "long long"
+        | "long long int"
+        | "signed long long"
+        | "signed long long int"
+        | "int64"
+        | "int64_t" => VoxelType::I64,
         "ulonglong" | "unsigned long long" | "unsigned long long int" | "uint64" | "uint64_t" => {
             VoxelType::U64
         }
