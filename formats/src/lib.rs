@@ -53,6 +53,8 @@ mod npy;
 
 mod open;
 
+mod record;
+
 mod stored;
 
 mod stream;

@@ -21,6 +21,7 @@ use crate::error::Error;
 use crate::header::{ByteOrder, DType, Format, Header, IDENTITY, Scaling, Unit, VoxelType};
 use crate::input::Input;
 use crate::open::{Context, Parsed, is_plausible_spacing};
+use crate::record::Record;
 
 const SIZE_1: usize = 348;
 const SIZE_2: usize = 540;
@@ -102,93 +103,51 @@ struct Fields {
     units: i64,
 }
 
-/// Reads numbers at offsets of a header that is known to be long enough.
-struct Record<'a> {
-    bytes: &'a [u8],
-    order: ByteOrder,
-}
-
-impl Record<'_> {
-    fn array<const N: usize>(&self, at: usize) -> [u8; N] {
-        let mut array = [0; N];
-        array.copy_from_slice(&self.bytes[at..at + N]);
-        if self.order == ByteOrder::Big {
-            array.reverse();
-        }
-        array
-    }
-
-    fn i16(&self, at: usize) -> i16 {
-        i16::from_le_bytes(self.array(at))
-    }
-
-    fn i32(&self, at: usize) -> i32 {
-        i32::from_le_bytes(self.array(at))
-    }
-
-    fn i64(&self, at: usize) -> i64 {
-        i64::from_le_bytes(self.array(at))
-    }
-
-    fn f32(&self, at: usize) -> f64 {
-        f64::from(f32::from_le_bytes(self.array(at)))
-    }
-
-    fn f64(&self, at: usize) -> f64 {
-        f64::from_le_bytes(self.array(at))
-    }
-
-    /// The shortest decimal number that a stored single precision number stands for.
-    fn f32_decimal(&self, at: usize) -> f64 {
-        let stored = f32::from_le_bytes(self.array(at));
-        // Rust prints the shortest text that reads back as the same number.
-        stored.to_string().parse().unwrap_or(f64::from(stored))
-    }
-
-    fn nifti1(&self) -> Fields {
-        Fields {
+impl Fields {
+    fn of_version_1(record: &Record<'_>) -> Self {
+        Self {
             magic: [
-                self.bytes[344],
-                self.bytes[345],
-                self.bytes[346],
-                self.bytes[347],
+                record.bytes[344],
+                record.bytes[345],
+                record.bytes[346],
+                record.bytes[347],
             ],
-            dim: std::array::from_fn(|i| i64::from(self.i16(40 + 2 * i))),
-            datatype: self.i16(70),
-            bitpix: self.i16(72),
-            pixdim: std::array::from_fn(|i| self.f32_decimal(76 + 4 * i)),
-            vox_offset: self.f32(108),
-            slope: self.f32(112),
-            intercept: self.f32(116),
-            intent: i64::from(self.i16(68)),
-            qform: i64::from(self.i16(252)),
-            sform: i64::from(self.i16(254)),
-            quaternion: std::array::from_fn(|i| self.f32(256 + 4 * i)),
-            qoffset: std::array::from_fn(|i| self.f32(268 + 4 * i)),
-            srow: std::array::from_fn(|r| std::array::from_fn(|c| self.f32(280 + 16 * r + 4 * c))),
-            units: i64::from(self.bytes[123]),
+            dim: std::array::from_fn(|i| i64::from(record.i16(40 + 2 * i))),
+            datatype: record.i16(70),
+            bitpix: record.i16(72),
+            pixdim: std::array::from_fn(|i| record.f32_decimal(76 + 4 * i)),
+            vox_offset: record.f32(108),
+            slope: record.f32(112),
+            intercept: record.f32(116),
+            intent: i64::from(record.i16(68)),
+            qform: i64::from(record.i16(252)),
+            sform: i64::from(record.i16(254)),
+            quaternion: std::array::from_fn(|i| record.f32(256 + 4 * i)),
+            qoffset: std::array::from_fn(|i| record.f32(268 + 4 * i)),
+            srow: std::array::from_fn(|r| std::array::from_fn(|c| record.f32(280 + 16 * r + 4 * c))),
+            units: i64::from(record.bytes[123]),
         }
     }
 
-    fn nifti2(&self) -> Fields {
+    fn of_version_2(record: &Record<'_>) -> Self {
         // A 64-bit offset beyond 2^53 is no file's; as a float it fails the checks just as well.
-        let vox_offset = self.i64(168) as f64;
-        Fields {
-            magic: [self.bytes[4], self.bytes[5], self.bytes[6], self.bytes[7]],
-            dim: std::array::from_fn(|i| self.i64(16 + 8 * i)),
-            datatype: self.i16(12),
-            bitpix: self.i16(14),
-            pixdim: std::array::from_fn(|i| self.f64(104 + 8 * i)),
+        let vox_offset = record.i64(168) as f64;
+        Self {
+            magic: [record.bytes[4], record.bytes[5], record.bytes[6], record.bytes[7]],
+            dim: std::array::from_fn(|i| record.i64(16 + 8 * i)),
+            datatype: record.i16(12),
+            bitpix: record.i16(14),
+            pixdim: std::array::from_fn(|i| record.f64(104 + 8 * i)),
             vox_offset,
-            slope: self.f64(176),
-            intercept: self.f64(184),
-            intent: i64::from(self.i32(504)),
-            qform: i64::from(self.i32(344)),
-            sform: i64::from(self.i32(348)),
-            quaternion: std::array::from_fn(|i| self.f64(352 + 8 * i)),
-            qoffset: std::array::from_fn(|i| self.f64(376 + 8 * i)),
-            srow: std::array::from_fn(|r| std::array::from_fn(|c| self.f64(400 + 32 * r + 8 * c))),
-            units: i64::from(self.i32(500)),
+            slope: record.f64(176),
+            intercept: record.f64(184),
+            intent: i64::from(record.i32(504)),
+            qform: i64::from(record.i32(344)),
+            sform: i64::from(record.i32(348)),
+            quaternion: std::array::from_fn(|i| record.f64(352 + 8 * i)),
+            qoffset: std::array::from_fn(|i| record.f64(376 + 8 * i)),
+            srow: std::array::from_fn(|r| std::array::from_fn(|c| record.f64(400 + 32 * r + 8 * c))),
+            units: i64::from(record.i32(500)),
         }
     }
 }
@@ -221,9 +180,9 @@ pub(crate) fn parse(input: &mut Input, context: &Context<'_>) -> Result<Parsed, 
         order,
     };
     let fields = if format == Format::Nifti1 {
-        record.nifti1()
+        Fields::of_version_1(&record)
     } else {
-        record.nifti2()
+        Fields::of_version_2(&record)
     };
     let pair = match (&fields.magic, format) {
         (b"n+1\0", Format::Nifti1) | (b"n+2\0", Format::Nifti2) => false,
