@@ -11,7 +11,7 @@
 use crate::error::Error;
 use crate::header::{ByteOrder, DType, Format, Header, Unit, VoxelType};
 use crate::input::Input;
-use crate::open::{Context, Parsed, is_plausible_spacing};
+use crate::parsed::{Context, Parsed, is_plausible_spacing};
 use crate::record::Record;
 
 const HEADER_BYTES: usize = 284;

@@ -25,9 +25,9 @@
 use crate::error::Error;
 use crate::header::{ByteOrder, DType, Format, Header, Unit, VoxelType};
 use crate::input::Input;
-use crate::open::{Context, Parsed, is_plausible_spacing};
+use crate::parsed::{Context, Parsed, is_plausible_spacing};
 use crate::record::Record;
-use crate::stored::AxisOrder;
+use crate::order::AxisOrder;
 
 const HEADER_BYTES: usize = 1024;
 

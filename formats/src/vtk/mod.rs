@@ -24,7 +24,7 @@ mod arrays;
 use crate::error::Error;
 use crate::header::{Format, Header};
 use crate::input::Input;
-use crate::open::{Context, Parsed, is_plausible_spacing};
+use crate::parsed::{Context, Parsed, is_plausible_spacing};
 use crate::vtk::arrays::{Chosen, choose};
 use crate::vtk::text::Text;
 

@@ -8,7 +8,7 @@ use std::str::FromStr;
 
 use crate::error::Error;
 use crate::input::Input;
-use crate::open::Context;
+use crate::parsed::Context;
 
 /// Longest word and longest line. Names of arrays are the longest words; a title has 256 bytes by
 /// the specification, and longer ones are written.
