@@ -229,7 +229,8 @@ mod tests {
     use crate::conformance;
     use crate::header::{DType, Format, VoxelType};
     use crate::input::Input;
-    use crate::stored::{AxisOrder, StoredVoxels};
+    use crate::order::AxisOrder;
+    use crate::stored::StoredVoxels;
     use crate::stream::StreamVoxels;
     use crate::volume::SourceInfo;
 
@@ -242,7 +243,7 @@ mod tests {
             Voxels::Forward(Box::new(StreamVoxels::new(input, "n", &header, 0)))
         } else {
             let bytes = FileBytes::memory("n", bytes);
-            let order = AxisOrder::XFastest;
+            let order = AxisOrder::X_FASTEST;
             Voxels::Random(Box::new(StoredVoxels::new(bytes, "n", 0, &header, order)))
         };
         Volume {

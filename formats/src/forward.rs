@@ -14,7 +14,7 @@ use crate::error::Error;
 use crate::input::{Input, read_error};
 use crate::options::OpenOptions;
 use crate::parsed::{Encoding, Parsed, Start};
-use crate::stored::{AxisOrder, StoredVoxels};
+use crate::stored::StoredVoxels;
 use crate::stream::{StreamVoxels, ends_early, look_behind};
 use crate::vol;
 use crate::volume::{SourceInfo, Volume, Voxels};
@@ -27,6 +27,7 @@ pub(crate) fn forward(
     options: &OpenOptions,
     mut source: SourceInfo,
 ) -> Result<Volume, Error> {
+    let behind = parsed.bytes_behind();
     let Parsed {
         mut header,
         offset,
@@ -34,7 +35,6 @@ pub(crate) fn forward(
         start,
         order,
         maybe_eight_bytes,
-        frames_behind,
         ..
     } = parsed;
     let skip = offset.saturating_sub(input.position());
@@ -42,12 +42,14 @@ pub(crate) fn forward(
     input = match encoding {
         Encoding::Raw => input,
         Encoding::Zlib => input.zlib().map_err(|e| read_error(name, offset, e))?,
+        Encoding::Bits => input.bits(),
+        Encoding::Text => return Err(Error::unsupported(name, "text")),
     };
     if let Start::Bytes(skip) = start {
         skip_to_voxels(&mut input, skip, skip, name)?;
     }
-    if order == AxisOrder::XFastest && !maybe_eight_bytes && start != Start::FromEnd {
-        let voxels = StreamVoxels::new(input, name, &header, frames_behind);
+    if order.has_whole_planes() && !maybe_eight_bytes && start != Start::FromEnd {
+        let voxels = StreamVoxels::new(input, name, &header, order, behind);
         return Ok(Volume {
             header,
             voxels: Voxels::Forward(Box::new(voxels)),
@@ -87,7 +89,7 @@ pub(crate) fn forward(
         name,
         found - bytes - start,
         bytes,
-        0,
+        behind,
     )?);
     let copied = copy.source();
     source.held_bytes = copied.held_bytes;

@@ -35,6 +35,8 @@
 
 pub mod conformance;
 
+mod analyze;
+
 mod bytes;
 
 mod chunked;
@@ -90,6 +92,8 @@ mod volume;
 mod vtk;
 
 pub mod write;
+
+mod zip;
 
 pub use error::{Error, ErrorKind};
 pub use header::{

@@ -25,9 +25,9 @@
 use crate::error::Error;
 use crate::header::{ByteOrder, DType, Format, Header, Unit, VoxelType};
 use crate::input::Input;
+use crate::order::AxisOrder;
 use crate::parsed::{Context, Parsed, is_plausible_spacing};
 use crate::record::Record;
-use crate::order::AxisOrder;
 
 const HEADER_BYTES: usize = 1024;
 
@@ -236,11 +236,7 @@ fn byte_order(bytes: &[u8], warnings: &mut Vec<String>, name: &str) -> ByteOrder
     likely
 }
 
-fn voxel(
-    record: &Record<'_>,
-    warnings: &mut Vec<String>,
-    name: &str,
-) -> Result<VoxelType, Error> {
+fn voxel(record: &Record<'_>, warnings: &mut Vec<String>, name: &str) -> Result<VoxelType, Error> {
     let mode = record.i32(at::MODE);
     let refused = match mode {
         0 => return bytes_voxel(record, warnings, name),
@@ -252,11 +248,10 @@ fn voxel(
         16 => "colour voxels",
         101 => "4-bit voxels",
         _ => {
-            return Err(Error::invalid(
-                name,
-                format!("mode is {mode}; 0, 1, 2, 6 or 12 expected"),
-            )
-            .at(at::MODE as u64));
+            return Err(
+                Error::invalid(name, format!("mode is {mode}; 0, 1, 2, 6 or 12 expected"))
+                    .at(at::MODE as u64),
+            );
         }
     };
     Err(
@@ -298,11 +293,7 @@ fn bytes_voxel(
 }
 
 /// Voxels along x, y and z of one volume, and the number of volumes.
-fn extents(
-    record: &Record<'_>,
-    axes: [usize; 3],
-    name: &str,
-) -> Result<([u64; 3], u64), Error> {
+fn extents(record: &Record<'_>, axes: [usize; 3], name: &str) -> Result<([u64; 3], u64), Error> {
     /// Space groups of stacks of volumes, by the standard.
     const VOLUME_STACKS: std::ops::RangeInclusive<i32> = 401..=630;
     let mut dims = [0; 3];
@@ -313,10 +304,7 @@ fn extents(
             _ => {
                 return Err(Error::invalid(
                     name,
-                    format!(
-                        "{} is {count}, at least 1 expected",
-                        ["NX", "NY", "NZ"][i]
-                    ),
+                    format!("{} is {count}, at least 1 expected", ["NX", "NY", "NZ"][i]),
                 )
                 .at(at as u64));
             }

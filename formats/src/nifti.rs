@@ -13,10 +13,14 @@
 //! - A stored value v means scl_slope * v + scl_inter, unless the slope is 0 or not finite.
 //! - Axes beyond the third count volumes; with more than one, the caller chooses a frame.
 //!
-//! Refused: complex, colour and 128-bit voxels, Analyze 7.5, CIFTI, one and two dimensions.
+//! Analyze 7.5 pairs, which have the same header with fewer fields, are read here, too; what is
+//! different about them is in `analyze`.
+//!
+//! Refused: complex, colour and 128-bit voxels, CIFTI, one and two dimensions.
 
 use std::path::{Path, PathBuf};
 
+use crate::analyze;
 use crate::error::Error;
 use crate::header::{ByteOrder, DType, Format, Header, IDENTITY, Scaling, Unit, VoxelType};
 use crate::input::Input;
@@ -26,12 +30,16 @@ use crate::record::Record;
 const SIZE_1: usize = 348;
 const SIZE_2: usize = 540;
 
-/// The version whose header begins with `head`.
+/// The format whose header begins with `head`.
 pub(crate) fn detect(head: &[u8]) -> Option<Format> {
     let size: [u8; 4] = head.get(..4)?.try_into().ok()?;
     let (little, big) = (u32::from_le_bytes(size), u32::from_be_bytes(size));
     if little == SIZE_1 as u32 || big == SIZE_1 as u32 {
-        Some(Format::Nifti1)
+        Some(if analyze::is_analyze(head) {
+            Format::Analyze
+        } else {
+            Format::Nifti1
+        })
     } else if little == SIZE_2 as u32 || big == SIZE_2 as u32 {
         Some(Format::Nifti2)
     } else {
@@ -85,18 +93,18 @@ fn siblings(path: &Path, from: &str, to: &str) -> Option<Vec<PathBuf>> {
 }
 
 /// The fields that matter, of either version.
-struct Fields {
-    magic: [u8; 4],
-    dim: [i64; 8],
-    datatype: i16,
+pub(crate) struct Fields {
+    pub(crate) magic: [u8; 4],
+    pub(crate) dim: [i64; 8],
+    pub(crate) datatype: i16,
     bitpix: i16,
     pixdim: [f64; 8],
     vox_offset: f64,
-    slope: f64,
-    intercept: f64,
-    intent: i64,
-    qform: i64,
-    sform: i64,
+    pub(crate) slope: f64,
+    pub(crate) intercept: f64,
+    pub(crate) intent: i64,
+    pub(crate) qform: i64,
+    pub(crate) sform: i64,
     quaternion: [f64; 3],
     qoffset: [f64; 3],
     srow: [[f64; 4]; 3],
@@ -124,7 +132,9 @@ impl Fields {
             sform: i64::from(record.i16(254)),
             quaternion: std::array::from_fn(|i| record.f32(256 + 4 * i)),
             qoffset: std::array::from_fn(|i| record.f32(268 + 4 * i)),
-            srow: std::array::from_fn(|r| std::array::from_fn(|c| record.f32(280 + 16 * r + 4 * c))),
+            srow: std::array::from_fn(|r| {
+                std::array::from_fn(|c| record.f32(280 + 16 * r + 4 * c))
+            }),
             units: i64::from(record.bytes[123]),
         }
     }
@@ -133,7 +143,12 @@ impl Fields {
         // A 64-bit offset beyond 2^53 is no file's; as a float it fails the checks just as well.
         let vox_offset = record.i64(168) as f64;
         Self {
-            magic: [record.bytes[4], record.bytes[5], record.bytes[6], record.bytes[7]],
+            magic: [
+                record.bytes[4],
+                record.bytes[5],
+                record.bytes[6],
+                record.bytes[7],
+            ],
             dim: std::array::from_fn(|i| record.i64(16 + 8 * i)),
             datatype: record.i16(12),
             bitpix: record.i16(14),
@@ -146,7 +161,9 @@ impl Fields {
             sform: i64::from(record.i32(348)),
             quaternion: std::array::from_fn(|i| record.f64(352 + 8 * i)),
             qoffset: std::array::from_fn(|i| record.f64(376 + 8 * i)),
-            srow: std::array::from_fn(|r| std::array::from_fn(|c| record.f64(400 + 32 * r + 8 * c))),
+            srow: std::array::from_fn(|r| {
+                std::array::from_fn(|c| record.f64(400 + 32 * r + 8 * c))
+            }),
             units: i64::from(record.i32(500)),
         }
     }
@@ -155,19 +172,22 @@ impl Fields {
 pub(crate) fn parse(input: &mut Input, context: &Context<'_>) -> Result<Parsed, Error> {
     let name = context.name;
     let head = input
-        .peek(4)
+        .peek(SIZE_1)
         .map_err(|e| crate::input::read_error(name, 0, e))?;
     let Some(format) = detect(head) else {
         return Err(Error::invalid(
             name,
-            format!("not a NIfTI header: it begins with {head:02x?}, the size 348 or 540 expected"),
+            format!(
+                "not a NIfTI header: it begins with {:02x?}, the size 348 or 540 expected",
+                &head[..head.len().min(4)]
+            ),
         )
         .at(0));
     };
-    let (size, magic_at) = if format == Format::Nifti1 {
-        (SIZE_1, 344)
-    } else {
+    let (size, magic_at) = if format == Format::Nifti2 {
         (SIZE_2, 4)
+    } else {
+        (SIZE_1, 344)
     };
     let order = if u32::from_le_bytes([head[0], head[1], head[2], head[3]]) == size as u32 {
         ByteOrder::Little
@@ -179,19 +199,18 @@ pub(crate) fn parse(input: &mut Input, context: &Context<'_>) -> Result<Parsed, 
         bytes: &bytes,
         order,
     };
-    let fields = if format == Format::Nifti1 {
-        Fields::of_version_1(&record)
-    } else {
+    let mut warnings = Vec::new();
+    let mut fields = if format == Format::Nifti2 {
         Fields::of_version_2(&record)
+    } else {
+        Fields::of_version_1(&record)
     };
+    if format == Format::Analyze {
+        analyze::adapt(&record, &mut fields, &mut warnings, name)?;
+    }
     let pair = match (&fields.magic, format) {
         (b"n+1\0", Format::Nifti1) | (b"n+2\0", Format::Nifti2) => false,
-        (b"ni1\0", Format::Nifti1) | (b"ni2\0", Format::Nifti2) => true,
-        ([0, 0, 0, 0], Format::Nifti1) => {
-            return Err(
-                Error::unsupported(name, "an Analyze 7.5 header, which is not read").at(magic_at),
-            );
-        }
+        (b"ni1\0", Format::Nifti1 | Format::Analyze) | (b"ni2\0", Format::Nifti2) => true,
         (magic, _) => {
             return Err(Error::invalid(
                 name,
@@ -223,25 +242,16 @@ pub(crate) fn parse(input: &mut Input, context: &Context<'_>) -> Result<Parsed, 
             byte_order: order,
         },
     );
+    header.warnings = warnings;
     place(&fields, &mut header, name);
+    if format == Format::Analyze {
+        analyze::complete(&record, &mut header);
+    }
     header.scaling = scaling(&fields, &mut header.warnings, name);
 
     let offset = voxel_offset(&fields, format, pair, &mut header.warnings, name)?;
-    let frame = frame(frames, context)?;
-    let skip = header
-        .voxels_bytes()
-        .and_then(|bytes| bytes.checked_mul(frame));
-    let end = header
-        .voxels_bytes()
-        .and_then(|bytes| bytes.checked_mul(frames));
-    let (Some(offset), Some(_)) = (skip.and_then(|skip| skip.checked_add(offset)), end) else {
-        return Err(Error::invalid(
-            name,
-            format!("{frames} frames of {dims:?} voxels do not fit any file"),
-        ));
-    };
     let mut parsed = Parsed::new(header, offset);
-    parsed.frames_behind = frames - 1 - frame;
+    parsed.choose_frame(frames, context)?;
     if pair {
         let path = context.path.unwrap_or(Path::new(""));
         let Some(images) = siblings(path, "hdr", "img") else {
@@ -257,7 +267,7 @@ pub(crate) fn parse(input: &mut Input, context: &Context<'_>) -> Result<Parsed, 
 }
 
 fn voxel(fields: &Fields, format: Format, name: &str) -> Result<VoxelType, Error> {
-    let at = if format == Format::Nifti1 { 70 } else { 12 };
+    let at = if format == Format::Nifti2 { 12 } else { 70 };
     let (voxel, refused) = match fields.datatype {
         2 => (VoxelType::U8, ""),
         4 => (VoxelType::I16, ""),
@@ -302,7 +312,7 @@ fn voxel(fields: &Fields, format: Format, name: &str) -> Result<VoxelType, Error
 
 /// Extents and number of frames.
 fn dims(fields: &Fields, format: Format, name: &str) -> Result<([u64; 3], u64), Error> {
-    let at = if format == Format::Nifti1 { 40 } else { 16 };
+    let at = if format == Format::Nifti2 { 16 } else { 40 };
     let count = fields.dim[0];
     if !(1..=7).contains(&count) {
         return Err(Error::invalid(name, format!("dim[0] is {count}, 3 to 7 expected")).at(at));
@@ -334,26 +344,6 @@ fn dims(fields: &Fields, format: Format, name: &str) -> Result<([u64; 3], u64), 
     Ok((dims, frames))
 }
 
-/// The frame to read.
-fn frame(frames: u64, context: &Context<'_>) -> Result<u64, Error> {
-    match context.options.frame {
-        None if frames == 1 => Ok(0),
-        None => Err(Error::unsupported(
-            context.name,
-            format!(
-                "holds {frames} volumes (time points or channels): choose one with --frame N, 0 \
-                 to {}",
-                frames - 1
-            ),
-        )),
-        Some(frame) if frame < frames => Ok(frame),
-        Some(frame) => Err(Error::invalid(
-            context.name,
-            format!("frame {frame} was asked for, 0 to {} are there", frames - 1),
-        )),
-    }
-}
-
 fn voxel_offset(
     fields: &Fields,
     format: Format,
@@ -361,10 +351,10 @@ fn voxel_offset(
     warnings: &mut Vec<String>,
     name: &str,
 ) -> Result<u64, Error> {
-    let (first, at) = if format == Format::Nifti1 {
-        (352, 108)
-    } else {
+    let (first, at) = if format == Format::Nifti2 {
         (544, 168)
+    } else {
+        (352, 108)
     };
     let offset = fields.vox_offset;
     // Beyond 2^53 a float no longer counts bytes.

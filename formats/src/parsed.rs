@@ -18,6 +18,10 @@ pub(crate) enum Encoding {
     Raw,
     /// zlib data (RFC 1950).
     Zlib,
+    /// One bit a voxel, the first in the highest bit of a byte; the voxels are `bool`.
+    Bits,
+    /// Numbers as text.
+    Text,
 }
 
 /// The files that hold the voxels.
@@ -55,6 +59,8 @@ pub(crate) struct Parsed {
     pub(crate) maybe_eight_bytes: bool,
     /// How many volumes of the same size follow the one to be read.
     pub(crate) frames_behind: u64,
+    /// What follows the voxels belongs to the file, however much it is.
+    pub(crate) footer: bool,
 }
 
 impl Parsed {
@@ -64,11 +70,65 @@ impl Parsed {
             offset,
             encoding: Encoding::Raw,
             start: Start::Bytes(0),
-            order: AxisOrder::XFastest,
+            order: AxisOrder::X_FASTEST,
             elsewhere: Elsewhere::Here,
             maybe_eight_bytes: false,
             frames_behind: 0,
+            footer: false,
         }
+    }
+
+    /// Moves on to the frame that the caller wants, of `frames` one behind the other.
+    ///
+    /// # Errors
+    ///
+    /// If the choice is missing or there is no such frame, or if no file can hold so many.
+    pub(crate) fn choose_frame(&mut self, frames: u64, context: &Context<'_>) -> Result<(), Error> {
+        let frame = frame(frames, context)?;
+        let bytes = self.header.voxels_bytes();
+        let skip = bytes.and_then(|bytes| bytes.checked_mul(frame)?.checked_add(self.offset));
+        let end = bytes.and_then(|bytes| bytes.checked_mul(frames));
+        let (Some(offset), Some(_)) = (skip, end) else {
+            return Err(Error::invalid(
+                context.name,
+                format!(
+                    "{frames} frames of {:?} voxels do not fit any file",
+                    self.header.dims
+                ),
+            ));
+        };
+        self.offset = offset;
+        self.frames_behind = frames - 1 - frame;
+        Ok(())
+    }
+
+    /// Bytes behind the voxels that are no surprise.
+    pub(crate) fn bytes_behind(&self) -> u64 {
+        if self.footer {
+            return u64::MAX;
+        }
+        let bytes = self.header.voxels_bytes().unwrap_or(u64::MAX);
+        bytes.saturating_mul(self.frames_behind)
+    }
+}
+
+/// The frame to read.
+fn frame(frames: u64, context: &Context<'_>) -> Result<u64, Error> {
+    match context.options.frame {
+        None if frames == 1 => Ok(0),
+        None => Err(Error::unsupported(
+            context.name,
+            format!(
+                "holds {frames} volumes (time points or channels): choose one with --frame N, 0 \
+                 to {}",
+                frames - 1
+            ),
+        )),
+        Some(frame) if frame < frames => Ok(frame),
+        Some(frame) => Err(Error::invalid(
+            context.name,
+            format!("frame {frame} was asked for, 0 to {} are there", frames - 1),
+        )),
     }
 }
 

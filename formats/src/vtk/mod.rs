@@ -146,12 +146,7 @@ fn grid(text: &mut Text<'_>, binary: bool) -> Result<Grid, Error> {
 }
 
 /// The header of the array that was chosen; the text stands at its first value.
-fn header(
-    grid: &Grid,
-    chosen: Chosen,
-    text: &mut Text<'_>,
-    binary: bool,
-) -> Result<Parsed, Error> {
+fn header(grid: &Grid, chosen: Chosen, text: &mut Text<'_>, binary: bool) -> Result<Parsed, Error> {
     let dims = if chosen.cells {
         grid.cells()
     } else {

@@ -165,6 +165,62 @@ impl<'a> Text<'a> {
         Ok(())
     }
 
+    /// Skips words, all of which must be there.
+    pub(super) fn skip_words(&mut self, count: u64) -> Result<(), Error> {
+        let (mut done, mut inside) = (0, false);
+        while done < count {
+            let have = match self.input.fill_buf() {
+                Ok(have) => have,
+                Err(e) => return Err(self.context.read_error(self.input, e)),
+            };
+            if have.is_empty() {
+                done += u64::from(inside);
+                break;
+            }
+            let mut used = 0;
+            for byte in have {
+                let space = byte.is_ascii_whitespace();
+                if space && inside {
+                    done += 1;
+                }
+                inside = !space;
+                if done == count {
+                    break;
+                }
+                used += 1;
+            }
+            self.input.consume(used);
+        }
+        if done < count {
+            return Err(self.invalid(format!(
+                "the data ends early: {done} values of an array found, {count} expected"
+            )));
+        }
+        Ok(())
+    }
+
+    /// Skips a string of a binary file. Its length stands before it, in 1, 2, 4 or 8 bytes as the
+    /// two highest bits of the first say.
+    pub(super) fn skip_string(&mut self) -> Result<(), Error> {
+        let Some(first) = self.byte()? else {
+            return Err(self.invalid("the data ends early".into()));
+        };
+        let more = match first >> 6 {
+            3 => 0,
+            2 => 1,
+            1 => 3,
+            _ => 7,
+        };
+        let mut length = u64::from(first & 0x3f);
+        for _ in 0..more {
+            let Some(byte) = self.byte()? else {
+                return Err(self.invalid("the data ends early".into()));
+            };
+            length = length << 8 | u64::from(byte);
+        }
+        self.skip(length)
+    }
+
     /// Skips a METADATA block, which ends with an empty line.
     pub(super) fn skip_metadata(&mut self) -> Result<(), Error> {
         self.line()?;
