@@ -240,7 +240,8 @@ mod tests {
         let bytes: Vec<u8> = (0..count).flat_map(u16::to_le_bytes).collect();
         let voxels = if forward {
             let input = Input::new(std::io::Cursor::new(bytes));
-            Voxels::Forward(Box::new(StreamVoxels::new(input, "n", &header, 0)))
+            let order = AxisOrder::X_FASTEST;
+            Voxels::Forward(Box::new(StreamVoxels::new(input, "n", &header, order, 0)))
         } else {
             let bytes = FileBytes::memory("n", bytes);
             let order = AxisOrder::X_FASTEST;
