@@ -14,7 +14,7 @@ use crate::header::{Header, Unit};
 use crate::nifti::Fields;
 use crate::record::Record;
 
-/// Offset of `regular`, which is "r".
+/// Offset of `regular`, which is "r": all volumes of the file have the same extents.
 const REGULAR: usize = 38;
 /// Offset of `vox_units`, four bytes of text.
 const UNITS: usize = 56;
@@ -41,7 +41,8 @@ pub(crate) fn adapt(
     name: &str,
 ) -> Result<(), Error> {
     let regular = record.bytes[REGULAR];
-    if regular != b'r' {
+    // Some writers leave it empty.
+    if !matches!(regular, b'r' | 0) {
         return Err(Error::unsupported(
             name,
             format!(
