@@ -37,6 +37,8 @@ pub mod conformance;
 
 mod analyze;
 
+mod beside;
+
 mod bytes;
 
 mod chunked;
@@ -53,9 +55,13 @@ mod header;
 
 mod input;
 
+mod lines;
+
 mod map;
 
 pub mod mesh;
+
+mod metaimage;
 
 mod mgh;
 
@@ -67,6 +73,8 @@ mod npy;
 
 mod npz;
 
+mod nrrd;
+
 mod open;
 
 mod options;
@@ -75,15 +83,21 @@ mod order;
 
 mod parsed;
 
+mod placement;
+
 mod raw;
 
 mod record;
 
 mod registry;
 
+mod shares;
+
 mod stored;
 
 mod stream;
+
+mod text;
 
 mod vol;
 

@@ -54,7 +54,7 @@ pub(crate) fn header_of_image(path: &Path) -> Option<PathBuf> {
         // Other programs have .hdr files, too; they keep their .img to themselves.
         let head = std::fs::File::open(candidate).ok().and_then(|file| {
             let mut input = Input::new(file);
-            let head = input.peek(4).ok()?;
+            let head = input.peek(crate::input::Compression::MAGIC_BYTES).ok()?;
             if let Some(compression) = crate::input::Compression::detect(head) {
                 input = input.decompressed(compression).ok()?;
             }
@@ -67,7 +67,7 @@ pub(crate) fn header_of_image(path: &Path) -> Option<PathBuf> {
 /// Paths that differ from `path` in the extension `from`, which becomes `to`, compressed or not.
 /// The spelling that matches `path` comes first.
 fn siblings(path: &Path, from: &str, to: &str) -> Option<Vec<PathBuf>> {
-    const COMPRESSED: [&str; 3] = ["", ".gz", ".zst"];
+    const COMPRESSED: [&str; 4] = ["", ".gz", ".zst", ".bz2"];
     let file = path.file_name()?.to_str()?;
     COMPRESSED.into_iter().find_map(|suffix| {
         let stem = file.strip_suffix(suffix)?;

@@ -18,10 +18,18 @@ pub(crate) enum Encoding {
     Raw,
     /// zlib data (RFC 1950).
     Zlib,
+    /// gzip members.
+    Gzip,
+    /// bzip2 streams.
+    Bzip2,
+    /// Zstandard frames.
+    Zstd,
+    /// Numbers in text.
+    Text,
+    /// Two hexadecimal digits for each byte.
+    Hex,
     /// One bit a voxel, the first in the highest bit of a byte; the voxels are `bool`.
     Bits,
-    /// Numbers as text.
-    Text,
 }
 
 /// The files that hold the voxels.
@@ -48,6 +56,8 @@ pub(crate) enum Start {
 #[derive(Debug)]
 pub(crate) struct Parsed {
     pub(crate) header: Header,
+    /// Lines to pass in files other than the header's, before `offset` is counted.
+    pub(crate) lines: u64,
     /// Offset of the (encoded) voxels in the (decompressed) file that holds them.
     pub(crate) offset: u64,
     pub(crate) encoding: Encoding,
@@ -67,6 +77,7 @@ impl Parsed {
     pub(crate) fn new(header: Header, offset: u64) -> Self {
         Self {
             header,
+            lines: 0,
             offset,
             encoding: Encoding::Raw,
             start: Start::Bytes(0),
@@ -84,7 +95,7 @@ impl Parsed {
     ///
     /// If the choice is missing or there is no such frame, or if no file can hold so many.
     pub(crate) fn choose_frame(&mut self, frames: u64, context: &Context<'_>) -> Result<(), Error> {
-        let frame = frame(frames, context)?;
+        let frame = context.frame(frames)?;
         let bytes = self.header.voxels_bytes();
         let skip = bytes.and_then(|bytes| bytes.checked_mul(frame)?.checked_add(self.offset));
         let end = bytes.and_then(|bytes| bytes.checked_mul(frames));
@@ -109,26 +120,6 @@ impl Parsed {
         }
         let bytes = self.header.voxels_bytes().unwrap_or(u64::MAX);
         bytes.saturating_mul(self.frames_behind)
-    }
-}
-
-/// The frame to read.
-fn frame(frames: u64, context: &Context<'_>) -> Result<u64, Error> {
-    match context.options.frame {
-        None if frames == 1 => Ok(0),
-        None => Err(Error::unsupported(
-            context.name,
-            format!(
-                "holds {frames} volumes (time points or channels): choose one with --frame N, 0 \
-                 to {}",
-                frames - 1
-            ),
-        )),
-        Some(frame) if frame < frames => Ok(frame),
-        Some(frame) => Err(Error::invalid(
-            context.name,
-            format!("frame {frame} was asked for, 0 to {} are there", frames - 1),
-        )),
     }
 }
 
@@ -165,6 +156,26 @@ impl Context<'_> {
     /// The error a failed read of the header is.
     pub(crate) fn read_error(&self, input: &Input, error: std::io::Error) -> Error {
         read_error(self.name, input.position(), error)
+    }
+
+    /// The volume to read out of `frames`: the one that was asked for, or the only one.
+    pub(crate) fn frame(&self, frames: u64) -> Result<u64, Error> {
+        match self.options.frame {
+            None if frames == 1 => Ok(0),
+            None => Err(Error::unsupported(
+                self.name,
+                format!(
+                    "holds {frames} volumes (time points or channels): choose one with --frame N, \
+                     0 to {}",
+                    frames - 1
+                ),
+            )),
+            Some(frame) if frame < frames => Ok(frame),
+            Some(frame) => Err(Error::invalid(
+                self.name,
+                format!("frame {frame} was asked for, 0 to {} are there", frames - 1),
+            )),
+        }
     }
 
     /// The path of the file that the header calls `named`, which must lie in the header's folder

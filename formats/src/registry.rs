@@ -13,7 +13,7 @@ use crate::input::Input;
 use crate::options::OpenOptions;
 use crate::parsed::{Context, Parsed};
 use crate::volume::Volume;
-use crate::{mgh, mrc, nifti, npy, npz, raw, vol, vtk};
+use crate::{metaimage, mgh, mrc, nifti, npy, npz, nrrd, raw, vol, vtk};
 
 /// What there is to know about a format before a file is opened.
 #[derive(Clone, Copy, Debug)]
@@ -124,11 +124,31 @@ static FORMATS: &[FormatInfo] = &[
         missing_feature: None,
     },
     FormatInfo {
+        format: Format::Nrrd,
+        names: &["nrrd", "nhdr"],
+        title: "NRRD",
+        extensions: ".nrrd .nhdr",
+        variants: "attached, detached, lists and patterns of files; raw, text, hex, gzip, bzip2, zstd",
+        forward: true,
+        choices: FRAME,
+        missing_feature: None,
+    },
+    FormatInfo {
         format: Format::Mgh,
         names: &["mgh", "mgz"],
         title: "FreeSurfer MGH",
         extensions: ".mgh .mgz",
         variants: "version 1; u8, i16, u16, i32, f32; frames",
+        forward: true,
+        choices: FRAME,
+        missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::MetaImage,
+        names: &["metaimage", "mha", "mhd"],
+        title: "MetaImage",
+        extensions: ".mha .mhd",
+        variants: "attached, detached, lists and patterns of files; binary, text, zlib",
         forward: true,
         choices: FRAME,
         missing_feature: None,
@@ -242,6 +262,16 @@ pub(crate) static READERS: &[Entry] = &[
         format: Format::Nifti2,
         detect: |head| nifti::detect(head) == Some(Format::Nifti2),
         reader: Reader::Header(nifti::parse),
+    },
+    Entry {
+        format: Format::Nrrd,
+        detect: |head| head.starts_with(nrrd::MAGIC),
+        reader: Reader::Header(nrrd::parse),
+    },
+    Entry {
+        format: Format::MetaImage,
+        detect: metaimage::detect,
+        reader: Reader::Header(metaimage::parse),
     },
     Entry {
         format: Format::Vol,

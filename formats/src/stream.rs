@@ -117,7 +117,7 @@ impl StreamVoxels {
 
 /// Reads what follows the voxels (`volume_bytes` in all), so that checksums are verified, and
 /// gives warnings. `read` bytes behind the voxels have been read already; `frames` bytes there
-/// are other volumes that belong to the file.
+/// are other volumes that belong to the file, `u64::MAX` where all of them do.
 pub(crate) fn look_behind(
     input: &mut Input,
     name: &str,
@@ -143,12 +143,11 @@ pub(crate) fn look_behind(
     } else if behind > frames {
         warnings.push(trailing(name, end + frames, behind - frames));
     }
-    warnings.extend(
-        input
-            .notes()
-            .into_iter()
-            .map(|note| format!("{name}: {note}")),
-    );
+    // Where anything may follow, nothing is worth a note.
+    if frames < u64::MAX {
+        let notes = input.notes().into_iter();
+        warnings.extend(notes.map(|note| format!("{name}: {note}")));
+    }
     Ok(warnings)
 }
 
