@@ -29,7 +29,7 @@ pub(crate) fn is_analyze(header: &[u8]) -> bool {
         return false;
     };
     // A damaged NIfTI magic still looks like text.
-    let text = magic[..3].iter().all(u8::is_ascii_alphanumeric);
+    let text = magic[..3].iter().all(u8::is_ascii_graphic);
     magic == [0; 4] || (!text && header[REGULAR] == b'r')
 }
 

@@ -12,6 +12,7 @@ use crate::error::Error;
 use crate::header::{ByteOrder, DType, Format, Header, Unit, VoxelType};
 use crate::input::Input;
 use crate::parsed::{Context, Parsed, is_plausible_spacing};
+use crate::placement::{take_origin, take_vectors};
 use crate::record::Record;
 
 const HEADER_BYTES: usize = 284;
@@ -118,35 +119,19 @@ fn place(record: &Record<'_>, header: &mut Header, name: &str) {
     // Stored axis by axis: the direction of x first.
     let axes: [[f64; 3]; 3] =
         std::array::from_fn(|a| std::array::from_fn(|r| record.f32(42 + 12 * a + 4 * r)));
-    let lengths = axes.map(|axis| axis.iter().map(|c| c * c).sum::<f64>().sqrt());
-    let centre: [f64; 3] = std::array::from_fn(|r| record.f32(78 + 4 * r));
-    let volume: f64 = (0..3)
-        .map(|r| {
-            let (s, t) = ((r + 1) % 3, (r + 2) % 3);
-            axes[0][r] * (axes[1][s] * axes[2][t] - axes[1][t] * axes[2][s])
-        })
-        .sum();
-    // FreeSurfer writes unit vectors at right angles. What differs by more than rounding is a
-    // sheared volume, what differs by much no directions at all.
-    let unit = lengths.iter().all(|l| (l - 1.0).abs() < 1e-2);
-    if !unit || volume.abs() < 0.1 || !centre.iter().all(|c| c.is_finite()) {
-        header.warnings.push(format!(
-            "{name}: the directions of the axes have lengths {lengths:?} and span the volume \
-             {volume}, the centre is {centre:?}; they are ignored"
-        ));
+    let Some(lengths) = take_vectors(header, axes, "the directions", name) else {
         return;
-    }
-    if volume.abs() < 1.0 - 1e-3 {
+    };
+    // What differs by more than rounding was not written by FreeSurfer.
+    if lengths.iter().any(|length| (length - 1.0).abs() > 1e-2) {
         header.warnings.push(format!(
-            "{name}: the axes are not orthogonal (sheared); voxels are taken as boxes"
+            "{name}: the directions have lengths {lengths:?}, 1 expected; the voxel sizes are used"
         ));
     }
-    for r in 0..3 {
-        for a in 0..3 {
-            header.direction[r][a] = axes[a][r] / lengths[a];
-        }
-        // The centre lies at index dims / 2, not (dims - 1) / 2.
-        let half = |a: usize| header.direction[r][a] * spacing[a] * (header.dims[a] as f64 / 2.0);
-        header.origin[r] = centre[r] - (half(0) + half(1) + half(2));
-    }
+    let centre: [f64; 3] = std::array::from_fn(|r| record.f32(78 + 4 * r));
+    // The centre lies at index dims / 2, not (dims - 1) / 2.
+    let half = |a: usize| spacing[a] * (header.dims[a] as f64 / 2.0);
+    let origin =
+        std::array::from_fn(|r| centre[r] - (0..3).map(|a| axes[a][r] * half(a)).sum::<f64>());
+    take_origin(header, origin, "the centre", name);
 }

@@ -420,10 +420,16 @@ fn oblique(angles: [f64; 3], header: &mut Header, name: &str) {
     if angles == UNSET || angles.iter().all(|angle| (angle - 90.0).abs() < 1e-3) {
         return;
     }
-    let [alpha, beta, gamma] = angles.map(f64::to_radians);
-    let y = [gamma.cos(), gamma.sin(), 0.0];
-    let across = (alpha.cos() - beta.cos() * gamma.cos()) / gamma.sin();
-    let up = 1.0 - beta.cos().powi(2) - across.powi(2);
+    // The cosine of 90 degrees is 0, and not almost.
+    let cosines = angles.map(|angle| match angle {
+        90.0 => 0.0,
+        other => other.to_radians().cos(),
+    });
+    let [alpha, beta, gamma] = cosines;
+    let sine = (1.0 - gamma * gamma).sqrt();
+    let y = [gamma, sine, 0.0];
+    let across = (alpha - beta * gamma) / sine;
+    let up = 1.0 - beta.powi(2) - across.powi(2);
     let possible = angles.iter().all(|angle| (1.0..=179.0).contains(angle)) && up > 1e-6;
     if !possible {
         header.warnings.push(format!(
@@ -432,7 +438,7 @@ fn oblique(angles: [f64; 3], header: &mut Header, name: &str) {
         ));
         return;
     }
-    let z = [beta.cos(), across, up.sqrt()];
+    let z = [beta, across, up.sqrt()];
     header.direction = std::array::from_fn(|r| [[1.0, 0.0, 0.0][r], y[r], z[r]]);
     header.warnings.push(format!(
         "{name}: the angles of the cell are {angles:?}, so the axes are not orthogonal (sheared); \

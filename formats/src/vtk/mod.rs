@@ -24,7 +24,8 @@ mod arrays;
 use crate::error::Error;
 use crate::header::{Format, Header};
 use crate::input::Input;
-use crate::parsed::{Context, Parsed, is_plausible_spacing};
+use crate::parsed::{Context, Parsed};
+use crate::placement::{take_origin, take_spacing};
 use crate::vtk::arrays::{Chosen, choose};
 use crate::vtk::text::Text;
 
@@ -169,39 +170,16 @@ fn header(grid: &Grid, chosen: Chosen, text: &mut Text<'_>, binary: bool) -> Res
 
 /// Spacing, origin and direction.
 fn place(grid: &Grid, cells: bool, header: &mut Header, name: &str) {
-    let Some(signed) = grid.spacing else {
-        return;
-    };
-    let spacing = signed.map(f64::abs);
-    if !spacing.iter().all(|s| is_plausible_spacing(*s)) {
-        header.warnings.push(format!(
-            "{name}: SPACING is {signed:?}, which is no voxel size; spacing and origin are taken \
-             as unknown"
-        ));
-        return;
+    let mut origin = grid.origin;
+    if let Some(signed) = grid.spacing {
+        take_spacing(header, signed, "SPACING", name);
     }
-    header.spacing = Some(spacing);
-    for axis in 0..3 {
-        if signed[axis] < 0.0 {
-            header.direction[axis][axis] = -1.0;
+    if let (Some(_), Some(signed)) = (header.spacing, grid.spacing) {
+        for axis in 0..3 {
+            let middle = cells && grid.points[axis] > 1;
+            let half = if middle { 0.5 } else { 0.0 };
+            origin[axis] += signed[axis] * (grid.first[axis] as f64 + half);
         }
-        let half = if cells && grid.points[axis] > 1 {
-            0.5
-        } else {
-            0.0
-        };
-        header.origin[axis] = grid.origin[axis] + signed[axis] * (grid.first[axis] as f64 + half);
     }
-    if signed.iter().any(|s| *s < 0.0) {
-        header.warnings.push(format!(
-            "{name}: SPACING is {signed:?}; an axis with a negative one points backwards"
-        ));
-    }
-    if !header.origin.iter().all(|x| x.is_finite()) {
-        header.warnings.push(format!(
-            "{name}: ORIGIN is {:?}, which is no place; it is ignored",
-            grid.origin
-        ));
-        header.origin = [0.0; 3];
-    }
+    take_origin(header, origin, "ORIGIN", name);
 }
