@@ -21,7 +21,8 @@
 //!
 //! The rooms, in the order of the data: `input` (bytes forward, decompressed), `map` and `bytes`
 //! (bytes anywhere), one file or folder a format, `registry` and `detect` (which of them), `open`
-//! (who gets what), `parsed` (what a header says), `forward`, `stream`, `stored` and `chunked`
+//! (who gets what), `parsed` (what a header says), `lines`, `placement` and `beside` (text headers, places in the
+//! world, files that a header names), `text` and `shares` (voxels as text, in several files), `forward`, `stream`, `stored` and `chunked`
 //! (planes and boxes), `crop` (a part of them), [`mesh`] (polygons), [`mod@write`] (small
 //! outputs), [`conformance`] (what every reader must do).
 //!

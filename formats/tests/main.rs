@@ -32,6 +32,12 @@ mod mutation;
 /// Meshes: every form of OBJ, PLY and STL, and damage to them.
 mod meshes;
 
+/// MetaImage: headers, and the files of the shared folder.
+mod metaimage;
+
+/// NRRD: headers, and the files of the shared folder.
+mod nrrd;
+
 /// Files that change while they are mapped.
 mod guard;
 

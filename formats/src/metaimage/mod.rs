@@ -62,7 +62,12 @@ pub(crate) fn parse(input: &mut Input, context: &Context<'_>) -> Result<Parsed, 
     let mut header = Header::new(Format::MetaImage, dims, DType { voxel, byte_order });
     place(&fields, sizes.len(), &mut header, name)?;
     header.scaling = scaling(&fields, name)?;
-    details(&fields, &mut header);
+    let encoding = match (binary, fields.is_true("CompressedData", false)) {
+        (false, _) => Encoding::Text,
+        (true, true) => Encoding::Zlib,
+        (true, false) => Encoding::Raw,
+    };
+    details(&fields, encoding, &mut header);
 
     let too_many = || {
         Error::invalid(
@@ -78,11 +83,6 @@ pub(crate) fn parse(input: &mut Input, context: &Context<'_>) -> Result<Parsed, 
     bytes.checked_mul(frames).ok_or_else(too_many)?;
     let frame = context.frame(frames)?;
 
-    let encoding = match (binary, fields.is_true("CompressedData", false)) {
-        (false, _) => Encoding::Text,
-        (true, true) => Encoding::Zlib,
-        (true, false) => Encoding::Raw,
-    };
     let mut parsed = Parsed::new(header, 0);
     parsed.encoding = encoding;
     let header_size = header_size(&fields, encoding, frames, name)?;
@@ -270,11 +270,17 @@ fn scaling(fields: &Fields, name: &str) -> Result<Option<Scaling>, Error> {
 }
 
 /// Facts for print.
-fn details(fields: &Fields, header: &mut Header) {
+fn details(fields: &Fields, encoding: Encoding, header: &mut Header) {
     /// What fits a line.
     const LETTERS_MOST: usize = 80;
     let space = "left-posterior-superior, as ITK writes it".to_string();
     header.details.push(("space", space));
+    let encoding = match encoding {
+        Encoding::Text => "text",
+        Encoding::Raw => "binary",
+        _ => "compressed",
+    };
+    header.details.push(("encoding", encoding.to_string()));
     for (field, detail) in [
         ("AnatomicalOrientation", "anatomical orientation"),
         ("ElementDataFile", "data file"),
