@@ -14,7 +14,7 @@ use crate::error::Error;
 use crate::input::{Compression, Input, read_error};
 use crate::options::OpenOptions;
 use crate::parsed::{Encoding, Parsed, Start};
-use crate::stored::{AxisOrder, StoredVoxels};
+use crate::stored::StoredVoxels;
 use crate::stream::{StreamVoxels, ends_early, look_behind};
 use crate::volume::{SourceInfo, Volume, Voxels};
 use crate::{text, vol};
@@ -27,20 +27,20 @@ pub(crate) fn forward(
     options: &OpenOptions,
     mut source: SourceInfo,
 ) -> Result<Volume, Error> {
+    let behind = parsed.bytes_behind();
     input = decode(input, &parsed, name)?;
     let Parsed {
         mut header,
         start,
         order,
         maybe_eight_bytes,
-        frames_behind,
         ..
     } = parsed;
     if let Start::Bytes(skip) = start {
         skip_to_voxels(&mut input, skip, skip, name)?;
     }
-    if order == AxisOrder::XFastest && !maybe_eight_bytes && start != Start::FromEnd {
-        let voxels = StreamVoxels::new(input, name, &header, frames_behind);
+    if order.has_whole_planes() && !maybe_eight_bytes && start != Start::FromEnd {
+        let voxels = StreamVoxels::new(input, name, &header, order, behind);
         return Ok(Volume {
             header,
             voxels: Voxels::Forward(Box::new(voxels)),
@@ -80,7 +80,7 @@ pub(crate) fn forward(
         name,
         found - bytes - start,
         bytes,
-        0,
+        behind,
     )?);
     let copied = copy.source();
     source.held_bytes = copied.held_bytes;
@@ -100,6 +100,7 @@ pub(crate) fn decode(mut input: Input, parsed: &Parsed, name: &str) -> Result<In
     skip_to_voxels(&mut input, skip, offset, name)?;
     let compression = match parsed.encoding {
         Encoding::Raw => return Ok(input),
+        Encoding::Bits => return Ok(input.bits()),
         Encoding::Text | Encoding::Hex => {
             let skip = match parsed.start {
                 Start::Bytes(skip) => skip,

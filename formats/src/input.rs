@@ -147,6 +147,11 @@ impl Input {
         Ok(Self::over(Box::new(Members::<Zlib>::begin(self)?)))
     }
 
+    /// The rest of this input, one byte for each bit, the highest bit of a byte first.
+    pub(crate) fn bits(self) -> Self {
+        Self::over(Box::new(Bits { input: self }))
+    }
+
     /// Bytes consumed so far.
     pub(crate) fn position(&self) -> u64 {
         self.position
@@ -269,6 +274,32 @@ impl BufRead for Input {
         let count = count.min(self.end - self.start);
         self.start += count;
         self.position += count as u64;
+    }
+}
+
+/// Bits as bytes 0 and 1.
+struct Bits {
+    input: Input,
+}
+
+impl Read for Bits {
+    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
+        let have = self.input.fill_buf()?;
+        // The layer above asks for whole buffers, so there is room for at least one byte.
+        let count = have.len().min(out.len() / 8);
+        for (bits, byte) in out.chunks_exact_mut(8).zip(have) {
+            for (at, bit) in bits.iter_mut().enumerate() {
+                *bit = byte >> (7 - at) & 1;
+            }
+        }
+        self.input.consume(count);
+        Ok(8 * count)
+    }
+}
+
+impl Layer for Bits {
+    fn notes(&mut self) -> Vec<String> {
+        self.input.notes()
     }
 }
 

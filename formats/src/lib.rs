@@ -36,6 +36,8 @@
 
 pub mod conformance;
 
+mod analyze;
+
 mod beside;
 
 mod bytes;
@@ -62,9 +64,15 @@ pub mod mesh;
 
 mod metaimage;
 
+mod mgh;
+
+mod mrc;
+
 mod nifti;
 
 mod npy;
+
+mod npz;
 
 mod nrrd;
 
@@ -72,11 +80,15 @@ mod open;
 
 mod options;
 
+mod order;
+
 mod parsed;
 
 mod placement;
 
 mod raw;
+
+mod record;
 
 mod registry;
 
@@ -92,7 +104,11 @@ mod vol;
 
 mod volume;
 
+mod vtk;
+
 pub mod write;
+
+mod zip;
 
 pub use error::{Error, ErrorKind};
 pub use header::{

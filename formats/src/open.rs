@@ -440,12 +440,12 @@ impl Place<'_> {
             return forward(parsed, input, self.name, self.options, source);
         }
         drop(input);
+        let behind = parsed.bytes_behind();
         let Parsed {
             mut header,
             offset,
             start,
             order,
-            frames_behind,
             ..
         } = parsed;
         let bytes = header.voxels_bytes().unwrap_or(u64::MAX);
@@ -459,7 +459,7 @@ impl Place<'_> {
             return Err(ends_early(self.name, length, available, bytes, plane));
         }
         // Checked by the format: all frames together fit `u64`.
-        let used = bytes.saturating_mul(frames_behind.saturating_add(1));
+        let used = bytes.saturating_add(behind);
         if available > used {
             header
                 .warnings

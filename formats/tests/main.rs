@@ -44,5 +44,20 @@ mod guard;
 /// The shared folder: same volumes in many formats, broken files, real files.
 mod shared;
 
+/// MRC and CCP4 maps, and axes in any order.
+mod mrc;
+
+/// FreeSurfer MGH.
+mod mgh;
+
+/// Analyze 7.5.
+mod analyze;
+
+/// Legacy VTK.
+mod vtk;
+
+/// NumPy archives.
+mod npz;
+
 /// Figures, not checks: run with `--release -- --ignored --nocapture speed`.
 mod speed;
