@@ -95,8 +95,8 @@ pub(super) struct Layout {
     /// Each sample has blocks of its own.
     pub(super) planar: bool,
     pub(super) colour: Colour,
-    /// Stored 0 is the highest value.
-    pub(super) inverted: bool,
+    /// Stored 0 is to be shown white.
+    pub(super) white_is_zero: bool,
     /// The lowest bit of a byte comes first.
     pub(super) bits_reversed: bool,
     pub(super) compression: Compression,
@@ -155,13 +155,19 @@ impl Layout {
         (self.block[0] * self.interleaved() * self.bits as u64).div_ceil(8)
     }
 
+    /// Whether stored 0 is the highest value. Of signed and floating point numbers there is none.
+    pub(super) fn inverted(&self) -> bool {
+        use VoxelType::{Bool, U8, U16, U32, U64};
+        self.white_is_zero && matches!(self.voxel, Bool | U8 | U16 | U32 | U64)
+    }
+
     /// Whether the stored bytes are the voxels.
     pub(super) fn is_plain(&self) -> bool {
         self.compression == Compression::None
             && self.predictor == Predictor::None
             && self.samples == 1
             && self.bits == self.voxel.bytes() * 8
-            && !self.inverted
+            && !self.inverted()
             && !self.bits_reversed
     }
 
@@ -264,7 +270,6 @@ impl Facts<'_> {
         let (bits, voxel) = self.sample()?;
         let compression = self.compression()?;
         let (colour, white_is_zero) = self.colour()?;
-        let float_or_signed = voxel.is_float() || voxel.name().starts_with('i');
         let predictor = self.predictor(compression, bits, voxel)?;
         let tiled =
             self.ifd.entry(tag::TILE_WIDTH).is_some() || self.ifd.entry(tag::TILE_OFFSETS).is_some();
@@ -288,7 +293,7 @@ impl Facts<'_> {
             samples,
             planar,
             colour,
-            inverted: white_is_zero && !float_or_signed,
+            white_is_zero,
             bits_reversed: self.number(tag::FILL_ORDER)? == Some(2),
             compression,
             predictor,

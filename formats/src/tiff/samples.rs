@@ -44,7 +44,7 @@ pub(super) fn to_voxels(rows: &mut Vec<u8>, layout: &Layout, order: ByteOrder, s
     } else if interleaved > 1 {
         pick(rows, interleaved, sample as usize, voxel_bytes);
     }
-    if layout.inverted {
+    if layout.inverted() {
         turn_round(rows, layout, order);
     }
 }
