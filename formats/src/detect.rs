@@ -10,13 +10,8 @@ use crate::parsed::Context;
 use crate::registry::{READERS, formats};
 
 /// Formats that are recognised in order to be refused by name: (offset, magic, name).
-const OTHER_FORMATS: [(usize, &[u8], &str); 25] = [
-    // Before TIFF: the preamble of a DICOM file may hold a TIFF header.
+const OTHER_FORMATS: [(usize, &[u8], &str); 19] = [
     (128, b"DICM", "DICOM"),
-    (0, b"II*\0", "TIFF"),
-    (0, b"MM\0*", "TIFF"),
-    (0, b"II+\0", "BigTIFF"),
-    (0, b"MM\0+", "BigTIFF"),
     (0, b"NRRD0", "NRRD"),
     (0, b"\x89HDF\r\n\x1a\n", "HDF5 (or MINC 2)"),
     (0, b" BDV", "OpenVDB"),
@@ -28,8 +23,6 @@ const OTHER_FORMATS: [(usize, &[u8], &str); 25] = [
     (0, b"<VTKFile", "VTK XML"),
     (0, b"CDF\x01", "NetCDF (or MINC 1)"),
     (0, b"CDF\x02", "NetCDF"),
-    (0, b"\x89PNG", "PNG"),
-    (0, b"\xff\xd8\xff", "JPEG"),
     (0, b"PAR1", "Parquet"),
     (0, b"BZh", "bzip2"),
     (0, b"\xfd7zXZ\0", "xz"),

@@ -6,7 +6,9 @@
 //! that were promised. Colour and arithmetic coding are refused. JPEG is lossy, so values may
 //! differ by one from those of other decoders.
 
-use zune_core::bytestream::ZCursor;
+use std::io::{BufRead, Seek};
+
+use zune_core::bytestream::{ZByteReaderTrait, ZCursor};
 use zune_core::colorspace::ColorSpace;
 use zune_core::options::DecoderOptions;
 use zune_jpeg::JpegDecoder;
@@ -14,13 +16,16 @@ use zune_jpeg::JpegDecoder;
 /// The bytes a JPEG image begins with.
 pub(crate) const MAGIC: &[u8] = b"\xff\xd8\xff";
 
-fn decoder(data: &[u8]) -> Result<(JpegDecoder<ZCursor<&[u8]>>, [u64; 2]), String> {
+/// The most pixels that a byte can stand for: a block of 64 takes some bits at least.
+pub(crate) const MOST: u64 = 4096;
+
+fn decoder<T: ZByteReaderTrait>(data: T) -> Result<(JpegDecoder<T>, [u64; 2]), String> {
     let options = DecoderOptions::default()
         .set_strict_mode(true)
         .set_max_width(usize::from(u16::MAX))
         .set_max_height(usize::from(u16::MAX))
         .jpeg_set_out_colorspace(ColorSpace::Luma);
-    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(data), options);
+    let mut decoder = JpegDecoder::new_with_options(data, options);
     decoder
         .decode_headers()
         .map_err(|e| format!("has a damaged JPEG header: {e}"))?;
@@ -36,7 +41,7 @@ fn decoder(data: &[u8]) -> Result<(JpegDecoder<ZCursor<&[u8]>>, [u64; 2]), Strin
 }
 
 /// Width and height of an image that is known to be grey.
-pub(crate) fn extents(data: &[u8]) -> Result<[u64; 2], String> {
+pub(crate) fn extents(data: impl BufRead + Seek) -> Result<[u64; 2], String> {
     decoder(data).map(|(_, extents)| extents)
 }
 
@@ -49,7 +54,7 @@ pub(crate) fn grey(
     most_rows: u64,
     out: &mut Vec<u8>,
 ) -> Result<(), String> {
-    let (mut decoder, [found_width, found_rows]) = decoder(data)?;
+    let (mut decoder, [found_width, found_rows]) = decoder(ZCursor::new(data))?;
     if found_width != width || !(rows..=most_rows.max(rows)).contains(&found_rows) {
         return Err(format!(
             "holds a JPEG of {found_width} x {found_rows} pixels, {width} x {rows} expected"

@@ -51,6 +51,8 @@ mod header;
 
 mod input;
 
+mod jpeg;
+
 mod map;
 
 pub mod mesh;
@@ -69,9 +71,13 @@ mod raw;
 
 mod registry;
 
+mod slices;
+
 mod stored;
 
 mod stream;
+
+mod tiff;
 
 mod vol;
 

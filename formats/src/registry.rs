@@ -13,7 +13,7 @@ use crate::input::Input;
 use crate::options::OpenOptions;
 use crate::parsed::{Context, Parsed};
 use crate::volume::Volume;
-use crate::{nifti, npy, raw, vol};
+use crate::{nifti, npy, raw, slices, tiff, vol};
 
 /// What there is to know about a format before a file is opened.
 #[derive(Clone, Copy, Debug)]
@@ -138,6 +138,36 @@ static FORMATS: &[FormatInfo] = &[
         choices: NONE,
         missing_feature: None,
     },
+    FormatInfo {
+        format: Format::Tiff,
+        names: &["tiff", "tif"],
+        title: "TIFF",
+        extensions: ".tif .tiff .ome.tif .btf .lsm",
+        variants: "BigTIFF, ImageJ, OME; strips and tiles; LZW, deflate, zstd, PackBits, CCITT, grey JPEG; 1 to 64 bits",
+        forward: false,
+        choices: Choices {
+            frame: true,
+            channel: true,
+            dataset: true,
+            level: true,
+        },
+        missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::Slices,
+        names: &["slices"],
+        title: "slices",
+        extensions: "a folder or 'pattern*' of .tif .png .jpg .pgm",
+        variants: "one grey image a plane, in natural order",
+        forward: false,
+        choices: Choices {
+            frame: true,
+            channel: true,
+            dataset: true,
+            level: true,
+        },
+        missing_feature: None,
+    },
 ];
 
 /// How the voxels of a file are found.
@@ -189,6 +219,16 @@ pub(crate) static READERS: &[Entry] = &[
         reader: Reader::Header(vol::parse),
     },
     Entry {
+        format: Format::Tiff,
+        detect: tiff::detect,
+        reader: Reader::Bytes(tiff::open),
+    },
+    Entry {
+        format: Format::Slices,
+        detect: slices::is_image,
+        reader: Reader::Bytes(slices::refuse_one),
+    },
+    Entry {
         format: Format::Raw,
         detect: |_| false,
         reader: Reader::Header(raw::parse),
@@ -204,7 +244,11 @@ pub(crate) struct Folder {
 }
 
 /// Readers of folders. The first that recognises the folder is taken.
-pub(crate) static FOLDERS: &[Folder] = &[];
+pub(crate) static FOLDERS: &[Folder] = &[Folder {
+    format: Format::Slices,
+    detect: slices::detect,
+    open: slices::open_folder,
+}];
 
 /// Refuses choices that the format does not offer.
 pub(crate) fn check_choices(

@@ -110,7 +110,7 @@ impl Blocks<'_> {
         if layout.bits != 1 || layout.interleaved() != 1 {
             return Err("has CCITT compression, but not one sample of one bit".into());
         }
-        unpress::fax(kind, data, self.page.layout.block[0], rows, out)
+        unpress::fax(kind, data, layout.block[0], rows, out)
     }
 
     fn jpeg(
@@ -131,18 +131,30 @@ impl Blocks<'_> {
             None => Cow::Borrowed(&[][..]),
         };
         // The tables come without their end mark, the image without its start mark.
-        let data = match (tables.strip_suffix(b"\xff\xd9"), data.strip_prefix(b"\xff\xd8")) {
+        let data = match (
+            tables.strip_suffix(b"\xff\xd9"),
+            data.strip_prefix(b"\xff\xd8"),
+        ) {
             (Some(tables), Some(image)) if tables.len() >= 2 => {
                 Cow::Owned([tables, image].concat())
             }
             _ => data,
         };
-        Ok(jpeg::grey(&data, width, rows, self.page.layout.block[1], out))
+        Ok(jpeg::grey(
+            &data,
+            width,
+            rows,
+            self.page.layout.block[1],
+            out,
+        ))
     }
 
     fn size(&self, bytes: u64) -> Result<usize, Error> {
         usize::try_from(bytes).map_err(|_| {
-            Error::unsupported(self.tiff.name(), format!("{bytes} bytes of pixels do not fit memory"))
+            Error::unsupported(
+                self.tiff.name(),
+                format!("{bytes} bytes of pixels do not fit memory"),
+            )
         })
     }
 
@@ -187,8 +199,10 @@ impl Blocks<'_> {
                 ];
                 let run = ((end[0] - first[0]) * voxel) as usize;
                 for row in first[1]..end[1] {
-                    let from = (((row - y * block_y) * block_x + first[0] - x * block_x) * voxel) as usize;
-                    let to = (((row - origin[1]) * size[0] + first[0] - origin[0]) * voxel) as usize;
+                    let from =
+                        (((row - y * block_y) * block_x + first[0] - x * block_x) * voxel) as usize;
+                    let to =
+                        (((row - origin[1]) * size[0] + first[0] - origin[0]) * voxel) as usize;
                     out[to..to + run].copy_from_slice(&piece[from..from + run]);
                 }
             }

@@ -105,7 +105,10 @@ impl Gathered {
                 is_run = false;
                 continue;
             }
-            if offset.checked_add(count).is_none_or(|end| end > tiff.bytes.len()) {
+            if offset
+                .checked_add(count)
+                .is_none_or(|end| end > tiff.bytes.len())
+            {
                 return Err(Error::invalid(
                     tiff.name(),
                     format!(

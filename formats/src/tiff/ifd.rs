@@ -128,7 +128,10 @@ impl Tiff {
             if number(order, &sizes[..2]) != 8 || number(order, &sizes[2..]) != 0 {
                 return Err(Error::invalid(
                     bytes.name(),
-                    format!("the BigTIFF header says offsets of {} bytes, 8 expected", number(order, &sizes[..2])),
+                    format!(
+                        "the BigTIFF header says offsets of {} bytes, 8 expected",
+                        number(order, &sizes[..2])
+                    ),
                 )
                 .at(4));
             }
@@ -149,7 +152,7 @@ impl Tiff {
     }
 
     /// An unsigned number of `count` bytes, at most 8.
-    pub(super) fn number_at(&self, at: u64, count: usize) -> Result<u64, Error> {
+    pub(super) fn number_at(&self, at: u64, count: u64) -> Result<u64, Error> {
         Ok(number(self.order, &self.bytes.read(at, count)?))
     }
 
@@ -170,10 +173,12 @@ impl Tiff {
         } else {
             (2, 12, 4)
         };
-        let count = self.number_at(at, count_bytes as usize)?;
+        let count = self.number_at(at, count_bytes)?;
         // The count was read, so `at + count_bytes` is inside the file.
         let start = at + count_bytes;
-        let bytes = count.checked_mul(entry_bytes).and_then(|n| usize::try_from(n).ok());
+        let bytes = count
+            .checked_mul(entry_bytes)
+            .and_then(|n| usize::try_from(n).ok());
         let Some(bytes) = bytes.filter(|n| *n as u64 <= self.bytes.len() - start) else {
             return Err(Error::invalid(
                 self.name(),
@@ -185,11 +190,11 @@ impl Tiff {
             )
             .at(at));
         };
-        let table = self.bytes.read(start, bytes)?;
+        let table = self.bytes.read(start, bytes as u64)?;
         let mut entries = Vec::with_capacity(bytes / entry_bytes as usize);
         for (i, raw) in table.chunks_exact(entry_bytes as usize).enumerate() {
             let kind = number(self.order, &raw[2..4]) as u16;
-            let (values_at, _) = (4 + offset_bytes as usize, ());
+            let values_at = 4 + offset_bytes as usize;
             let count = number(self.order, &raw[4..values_at]);
             let inline = value_bytes(kind)
                 .and_then(|size| size.checked_mul(count))
@@ -212,7 +217,7 @@ impl Tiff {
         let next = if self.bytes.len() - end < offset_bytes {
             0
         } else {
-            self.number_at(end, offset_bytes as usize)?
+            self.number_at(end, offset_bytes)?
         };
         Ok(Ifd {
             at,
@@ -226,18 +231,26 @@ impl Tiff {
     pub(super) fn value(&self, entry: &Entry, index: u64) -> Result<u64, Error> {
         let size = self.integer_bytes(entry)?;
         if index >= entry.count {
-            return Err(self.bad_entry(entry, format!("has {} values, more were expected", entry.count)));
+            return Err(self.bad_entry(
+                entry,
+                format!("has {} values, more were expected", entry.count),
+            ));
         }
-        let at = index.checked_mul(size).and_then(|n| n.checked_add(entry.at));
+        let at = index
+            .checked_mul(size)
+            .and_then(|n| n.checked_add(entry.at));
         let at = at.ok_or_else(|| self.bad_entry(entry, "is beyond the end of the file".into()))?;
-        self.number_at(at, size as usize)
+        self.number_at(at, size)
     }
 
     /// Checks that an entry holds unsigned integers, and gives the bytes of each.
     fn integer_bytes(&self, entry: &Entry) -> Result<u64, Error> {
         match entry.kind {
             1 | 3 | 4 | 13 | 16 | 18 => Ok(entry.value_bytes().unwrap_or(8)),
-            kind => Err(self.bad_entry(entry, format!("has type {kind}, an unsigned integer was expected"))),
+            kind => Err(self.bad_entry(
+                entry,
+                format!("has type {kind}, an unsigned integer was expected"),
+            )),
         }
     }
 
@@ -254,7 +267,7 @@ impl Tiff {
         let end = at + bytes;
         while at < end {
             let count = PIECE_BYTES.min(end - at);
-            for raw in self.bytes.read(at, count as usize)?.chunks_exact(size as usize) {
+            for raw in self.bytes.read(at, count)?.chunks_exact(size as usize) {
                 each(number(self.order, raw))?;
             }
             at += count;
@@ -270,7 +283,12 @@ impl Tiff {
         entry
             .count
             .checked_mul(size)
-            .filter(|n| entry.at.checked_add(*n).is_some_and(|end| end <= self.bytes.len()))
+            .filter(|n| {
+                entry
+                    .at
+                    .checked_add(*n)
+                    .is_some_and(|end| end <= self.bytes.len())
+            })
             .ok_or_else(|| {
                 self.bad_entry(
                     entry,
@@ -287,9 +305,7 @@ impl Tiff {
     /// All bytes of an entry's values.
     pub(super) fn raw(&self, entry: &Entry) -> Result<Cow<'_, [u8]>, Error> {
         let bytes = self.check_values(entry)?;
-        let count = usize::try_from(bytes)
-            .map_err(|_| self.bad_entry(entry, "does not fit memory".into()))?;
-        self.bytes.read(entry.at, count)
+        self.bytes.read(entry.at, bytes)
     }
 
     /// The first value of an entry, if the directory has it.
@@ -328,7 +344,11 @@ impl Tiff {
     }
 
     fn bad_entry(&self, entry: &Entry, what: String) -> Error {
-        Error::invalid(self.name(), format!("entry {} of a directory {what}", entry.tag)).at(entry.at)
+        Error::invalid(
+            self.name(),
+            format!("entry {} of a directory {what}", entry.tag),
+        )
+        .at(entry.at)
     }
 }
 
@@ -359,7 +379,10 @@ impl Directories<'_> {
         if !self.seen.insert(at) {
             return Err(Error::invalid(
                 tiff.name(),
-                format!("the chain of pages comes back to an earlier one after page {}", page.saturating_sub(1)),
+                format!(
+                    "the chain of pages comes back to an earlier one after page {}",
+                    page.saturating_sub(1)
+                ),
             )
             .at(at));
         }

@@ -104,7 +104,13 @@ pub(crate) fn open(bytes: FileBytes, context: &Context<'_>) -> Result<Volume, Er
     let extents = [page.layout.width, page.layout.height];
     let stack = stack::read(&tiff, &first, directories.main.len() as u64, extents)?;
     let counts = [stack.channels, stack.frames];
-    let choice = Choice::of(tiff.name(), counts, &page.layout, stack.palette_is_display, context)?;
+    let choice = Choice::of(
+        tiff.name(),
+        counts,
+        &page.layout,
+        stack.palette_is_display,
+        context,
+    )?;
     if stack.slices < 2 {
         return Err(flat(tiff.name(), extents));
     }
@@ -114,13 +120,17 @@ pub(crate) fn open(bytes: FileBytes, context: &Context<'_>) -> Result<Volume, Er
     let [channel, slice, frame] = stack.strides;
     let offset = choice.channel * channel + choice.frame * frame;
     if stack.contiguous {
-        gathered.add(&tiff, 0, &at_level(&tiff, start.clone(), level)?, |_| "the page".into())?;
+        gathered.add(&tiff, 0, &at_level(&tiff, start.clone(), level)?, |_| {
+            "the page".into()
+        })?;
     } else {
         for z in 0..stack.slices {
             // The stack has as many planes as there are pages.
             let ifd = tiff.directory(directories.main[(offset + z * slice) as usize])?;
             let ifd = at_level(&tiff, ifd, level)?;
-            gathered.add(&tiff, 0, &ifd, |n| format!("page {}", offset + n as u64 * slice))?;
+            gathered.add(&tiff, 0, &ifd, |n| {
+                format!("page {}", offset + n as u64 * slice)
+            })?;
         }
     }
     let mut about = About {
@@ -129,7 +139,9 @@ pub(crate) fn open(bytes: FileBytes, context: &Context<'_>) -> Result<Volume, Er
         scaling: stack.scaling,
         ..About::default()
     };
-    about.details.extend((!stack.kind.is_empty()).then(|| ("notes", stack.kind.to_string())));
+    about
+        .details
+        .extend((!stack.kind.is_empty()).then(|| ("notes", stack.kind.to_string())));
     about.note_levels(&start);
     about.note_missing(tiff.name(), &gathered);
     about.warnings.extend(stack.warnings.iter().cloned());
@@ -140,7 +152,14 @@ pub(crate) fn open(bytes: FileBytes, context: &Context<'_>) -> Result<Volume, Er
     };
     about.coarsen(extents, &gathered.1);
     let source = tiff.bytes.source();
-    Ok(about.volume(Format::Tiff, source, gathered, tiff.order, choice.sample, stack.slices))
+    Ok(about.volume(
+        Format::Tiff,
+        source,
+        gathered,
+        tiff.order,
+        choice.sample,
+        stack.slices,
+    ))
 }
 
 /// Where the directories of a file are.
@@ -222,7 +241,13 @@ impl Choice {
 }
 
 /// The one of `count` that was asked for, or the only one.
-fn pick(name: &str, what: &str, option: &str, asked: Option<u64>, count: u64) -> Result<u64, Error> {
+fn pick(
+    name: &str,
+    what: &str,
+    option: &str,
+    asked: Option<u64>,
+    count: u64,
+) -> Result<u64, Error> {
     let last = count.saturating_sub(1);
     match asked {
         Some(n) if n < count => Ok(n),
@@ -258,7 +283,10 @@ fn contiguous(
     offset: u64,
 ) -> Result<(Planes, Arc<Layout>), Error> {
     let layout = &page.layout;
-    let all = stack.channels.saturating_mul(stack.slices).saturating_mul(stack.frames);
+    let all = stack
+        .channels
+        .saturating_mul(stack.slices)
+        .saturating_mul(stack.frames);
     let Some(start) = start else {
         return Err(Error::unsupported(
             tiff.name(),
@@ -274,7 +302,13 @@ fn contiguous(
     let bytes = plane.saturating_mul(all);
     let found = tiff.bytes.len().saturating_sub(start);
     if found < bytes {
-        return Err(ends_early(tiff.name(), tiff.bytes.len(), found, bytes, plane));
+        return Err(ends_early(
+            tiff.name(),
+            tiff.bytes.len(),
+            found,
+            bytes,
+            plane,
+        ));
     }
     // All products are below `bytes`, which is part of the file.
     let first = start + offset * plane;
@@ -311,13 +345,16 @@ struct About {
 impl About {
     fn note_levels(&mut self, ifd: &Ifd) {
         let levels = levels(ifd);
-        self.details.extend((levels > 1).then(|| ("levels", levels.to_string())));
+        self.details
+            .extend((levels > 1).then(|| ("levels", levels.to_string())));
     }
 
     fn note_missing(&mut self, name: &str, gathered: &Gathered) {
         let missing = gathered.missing();
         self.warnings.extend((missing > 0).then(|| {
-            format!("{name}: {missing} strips or tiles are left out in the file; they are read as 0")
+            format!(
+                "{name}: {missing} strips or tiles are left out in the file; they are read as 0"
+            )
         }));
     }
 
@@ -336,7 +373,10 @@ impl About {
             Predictor::Horizontal => ", horizontal predictor",
             Predictor::Float => ", floating point predictor",
         };
-        self.details.push(("compression", format!("{}{predictor}", layout.compression.name())));
+        self.details.push((
+            "compression",
+            format!("{}{predictor}", layout.compression.name()),
+        ));
         self.details.push((
             "blocks",
             match (layout.tiled, layout.block) {
@@ -348,7 +388,8 @@ impl About {
             self.details.push(("bits", layout.bits.to_string()));
         }
         if layout.inverted() {
-            self.details.push(("white", "stored as 0, turned round".into()));
+            self.details
+                .push(("white", "stored as 0, turned round".into()));
         } else if layout.white_is_zero {
             self.warnings.push(format!(
                 "{name}: 0 is to be shown white; values of {} are read as stored",

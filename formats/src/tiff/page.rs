@@ -53,8 +53,7 @@ impl Compression {
             // A code of 9 bits or more stands for at most 4096 bytes.
             Self::Lzw => 4096,
             Self::Deflate => crate::input::DEFLATE_MOST,
-            // A block of 64 pixels takes some bits at least.
-            Self::Jpeg => 4096,
+            Self::Jpeg => crate::jpeg::MOST,
             // A block of four bytes stands for at most 128 KiB.
             Self::Zstd => 32 << 10,
             // A bit stands for at most a row.
@@ -174,7 +173,13 @@ impl Layout {
     /// Whether pages of both layouts are planes of one volume.
     pub(super) fn same_voxels(&self, other: &Self) -> bool {
         (self.width, self.height, self.voxel, self.bits, self.samples)
-            == (other.width, other.height, other.voxel, other.bits, other.samples)
+            == (
+                other.width,
+                other.height,
+                other.voxel,
+                other.bits,
+                other.samples,
+            )
     }
 
     /// Size and type in words, to tell pages apart.
@@ -271,8 +276,8 @@ impl Facts<'_> {
         let compression = self.compression()?;
         let (colour, white_is_zero) = self.colour()?;
         let predictor = self.predictor(compression, bits, voxel)?;
-        let tiled =
-            self.ifd.entry(tag::TILE_WIDTH).is_some() || self.ifd.entry(tag::TILE_OFFSETS).is_some();
+        let tiled = self.ifd.entry(tag::TILE_WIDTH).is_some()
+            || self.ifd.entry(tag::TILE_OFFSETS).is_some();
         let block = if tiled {
             [
                 self.extent(tag::TILE_WIDTH, "tile width")?,
@@ -302,9 +307,9 @@ impl Facts<'_> {
         };
         self.check_block(&layout)?;
         if compression == Compression::Jpeg && layout.interleaved() > 1 {
-            return Err(self.unsupported(
-                "JPEG with several samples a pixel is colour, which is not read",
-            ));
+            return Err(
+                self.unsupported("JPEG with several samples a pixel is colour, which is not read")
+            );
         }
         let place = self.place(&layout)?;
         Ok((layout, place))
@@ -411,7 +416,9 @@ impl Facts<'_> {
             // Linear raw: grey where there is one sample.
             34892 => return Ok((Colour::Grey, false)),
             other => {
-                return Err(self.unsupported(format!("photometric interpretation {other} is not known")));
+                return Err(
+                    self.unsupported(format!("photometric interpretation {other} is not known"))
+                );
             }
         };
         Err(self.unsupported(format!("the pixels are colour ({name}), which is not read")))
@@ -434,7 +441,9 @@ impl Facts<'_> {
             1 => Ok(Predictor::None),
             2 if matches!(bits, 8 | 16 | 32 | 64) => Ok(Predictor::Horizontal),
             3 if voxel.is_float() => Ok(Predictor::Float),
-            3 => Err(self.invalid(format!("has the predictor of floating point, but samples of {voxel}"))),
+            3 => Err(self.invalid(format!(
+                "has the predictor of floating point, but samples of {voxel}"
+            ))),
             other => Err(self.unsupported(format!(
                 "predictor {other} with samples of {bits} bits is not read"
             ))),
@@ -448,7 +457,9 @@ impl Facts<'_> {
             (tag::STRIP_OFFSETS, tag::STRIP_BYTE_COUNTS)
         };
         let Some(offsets) = self.ifd.entry(offsets).copied() else {
-            return Err(self.invalid("does not say where its pixels are (no strip or tile offsets)"));
+            return Err(
+                self.invalid("does not say where its pixels are (no strip or tile offsets)")
+            );
         };
         let counts = self.ifd.entry(counts).copied();
         if counts.is_none() && layout.compression != Compression::None {

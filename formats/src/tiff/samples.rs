@@ -19,12 +19,48 @@ pub(super) fn to_voxels(rows: &mut Vec<u8>, layout: &Layout, order: ByteOrder, s
             for row in rows.chunks_exact_mut(row_bytes) {
                 match (sample_bytes, order) {
                     (1, _) => add_bytes(row, interleaved),
-                    (2, ByteOrder::Little) => add(row, interleaved, u16::from_le_bytes, u16::to_le_bytes, u16::wrapping_add),
-                    (2, ByteOrder::Big) => add(row, interleaved, u16::from_be_bytes, u16::to_be_bytes, u16::wrapping_add),
-                    (4, ByteOrder::Little) => add(row, interleaved, u32::from_le_bytes, u32::to_le_bytes, u32::wrapping_add),
-                    (4, ByteOrder::Big) => add(row, interleaved, u32::from_be_bytes, u32::to_be_bytes, u32::wrapping_add),
-                    (_, ByteOrder::Little) => add(row, interleaved, u64::from_le_bytes, u64::to_le_bytes, u64::wrapping_add),
-                    (_, ByteOrder::Big) => add(row, interleaved, u64::from_be_bytes, u64::to_be_bytes, u64::wrapping_add),
+                    (2, ByteOrder::Little) => add(
+                        row,
+                        interleaved,
+                        u16::from_le_bytes,
+                        u16::to_le_bytes,
+                        u16::wrapping_add,
+                    ),
+                    (2, ByteOrder::Big) => add(
+                        row,
+                        interleaved,
+                        u16::from_be_bytes,
+                        u16::to_be_bytes,
+                        u16::wrapping_add,
+                    ),
+                    (4, ByteOrder::Little) => add(
+                        row,
+                        interleaved,
+                        u32::from_le_bytes,
+                        u32::to_le_bytes,
+                        u32::wrapping_add,
+                    ),
+                    (4, ByteOrder::Big) => add(
+                        row,
+                        interleaved,
+                        u32::from_be_bytes,
+                        u32::to_be_bytes,
+                        u32::wrapping_add,
+                    ),
+                    (_, ByteOrder::Little) => add(
+                        row,
+                        interleaved,
+                        u64::from_le_bytes,
+                        u64::to_le_bytes,
+                        u64::wrapping_add,
+                    ),
+                    (_, ByteOrder::Big) => add(
+                        row,
+                        interleaved,
+                        u64::from_be_bytes,
+                        u64::to_be_bytes,
+                        u64::wrapping_add,
+                    ),
                 }
             }
         }
@@ -40,7 +76,12 @@ pub(super) fn to_voxels(rows: &mut Vec<u8>, layout: &Layout, order: ByteOrder, s
     }
     let voxel_bytes = layout.voxel.bytes();
     if layout.bits != voxel_bytes * 8 {
-        *rows = unpack(rows, layout, order, if layout.planar { 0 } else { sample as usize });
+        *rows = unpack(
+            rows,
+            layout,
+            order,
+            if layout.planar { 0 } else { sample as usize },
+        );
     } else if interleaved > 1 {
         pick(rows, interleaved, sample as usize, voxel_bytes);
     }
@@ -106,7 +147,9 @@ fn unpack(rows: &[u8], layout: &Layout, order: ByteOrder, sample: usize) -> Vec<
             let start = (x * interleaved + sample) * bits;
             let (byte, shift) = (start / 8, start % 8);
             // A sample of at most 15 bits lies in at most three bytes.
-            let three = (0..3).fold(0_u32, |n, i| n << 8 | u32::from(row.get(byte + i).copied().unwrap_or(0)));
+            let three = (0..3).fold(0_u32, |n, i| {
+                n << 8 | u32::from(row.get(byte + i).copied().unwrap_or(0))
+            });
             let value = three >> (24 - shift - bits) & ((1 << bits) - 1);
             match (layout.voxel.bytes(), order) {
                 (1, _) => out.push(value as u8),
@@ -157,7 +200,13 @@ mod tests {
         add_bytes(&mut row, 2);
         assert_eq!(row, [250, 1, 4, 2, 14, 3]);
         let mut row = [0xff, 0xff, 0, 2];
-        add(&mut row, 1, u16::from_be_bytes, u16::to_be_bytes, u16::wrapping_add);
+        add(
+            &mut row,
+            1,
+            u16::from_be_bytes,
+            u16::to_be_bytes,
+            u16::wrapping_add,
+        );
         assert_eq!(row, [0xff, 0xff, 0, 1]);
     }
 }

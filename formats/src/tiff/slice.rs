@@ -47,7 +47,9 @@ pub(crate) fn open_slices(
     for path in paths {
         let name = path.display().to_string();
         let file = File::open(path).map_err(|e| Error::io(&name, "cannot be opened", e))?;
-        let metadata = file.metadata().map_err(|e| Error::io(&name, "cannot be read", e))?;
+        let metadata = file
+            .metadata()
+            .map_err(|e| Error::io(&name, "cannot be read", e))?;
         let closed = Source::Closed {
             path: path.clone(),
             fingerprint: Fingerprint::of(&metadata),
@@ -62,18 +64,30 @@ pub(crate) fn open_slices(
             let layout: &Layout = &Page::read(&tiff, &ifd, None)?.layout;
             let extents = [layout.width, layout.height];
             let stack = stack::read(&tiff, &ifd, 1, extents)?;
-            let planes = stack.channels.saturating_mul(stack.slices).saturating_mul(stack.frames);
+            let planes = stack
+                .channels
+                .saturating_mul(stack.slices)
+                .saturating_mul(stack.frames);
             if planes > 1 {
                 return Err(several(&name, planes));
             }
-            let choice = Choice::of(&source.name, [1, 1], layout, stack.palette_is_display, &context)?;
+            let choice = Choice::of(
+                &source.name,
+                [1, 1],
+                layout,
+                stack.palette_is_display,
+                &context,
+            )?;
             first = Some((stack, choice, extents, tiff.order));
         }
         let number = gathered.add_source(closed, tiff.bytes.len());
         let ifd = at_level(&tiff, ifd, level)?;
         let label = |n: usize| {
             let path = paths.get(n).and_then(|path| path.file_name());
-            path.map_or_else(|| format!("slice {n}"), |name| name.to_string_lossy().into_owned())
+            path.map_or_else(
+                || format!("slice {n}"),
+                |name| name.to_string_lossy().into_owned(),
+            )
         };
         gathered.add(&tiff, number, &ifd, label)?;
     }
@@ -92,7 +106,14 @@ pub(crate) fn open_slices(
     let gathered = gathered.into_planes(&source.name)?;
     about.coarsen(extents, &gathered.1);
     let slices = paths.len() as u64;
-    Ok(about.volume(Format::Slices, source, gathered, order, choice.sample, slices))
+    Ok(about.volume(
+        Format::Slices,
+        source,
+        gathered,
+        order,
+        choice.sample,
+        slices,
+    ))
 }
 
 fn several(name: &str, pages: u64) -> Error {

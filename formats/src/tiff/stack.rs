@@ -26,6 +26,8 @@ pub(super) struct Stack {
     /// A palette only says how values are shown.
     pub(super) palette_is_display: bool,
     pub(super) spacing: Option<[f64; 3]>,
+    /// The distance of planes was noted, not taken for 1.
+    pub(super) depth_is_noted: bool,
     pub(super) unit: Unit,
     pub(super) scaling: Option<Scaling>,
     pub(super) warnings: Vec<String>,
@@ -58,12 +60,7 @@ impl Stack {
 }
 
 /// What the notes of a file with `pages` pages say; the first of them is `ifd`.
-pub(super) fn read(
-    tiff: &Tiff,
-    ifd: &Ifd,
-    pages: u64,
-    extents: [u64; 2],
-) -> Result<Stack, Error> {
+pub(super) fn read(tiff: &Tiff, ifd: &Ifd, pages: u64, extents: [u64; 2]) -> Result<Stack, Error> {
     let text = tiff.text(ifd, tag::DESCRIPTION)?.unwrap_or_default();
     if text.starts_with(b"ImageJ=") {
         // Written as Latin-1 by old versions; what is needed of it is ASCII.
@@ -94,7 +91,9 @@ pub(super) fn read(
 fn pixel(tiff: &Tiff, ifd: &Ifd) -> Result<Option<[f64; 2]>, Error> {
     let edge = |tag| -> Result<Option<f64>, Error> {
         let ratio = tiff.rational(ifd, tag)?;
-        Ok(ratio.map(|(above, below)| below / above).filter(|s| is_plausible_spacing(*s)))
+        Ok(ratio
+            .map(|(above, below)| below / above)
+            .filter(|s| is_plausible_spacing(*s)))
     };
     let x = edge(tag::X_RESOLUTION)?;
     let y = edge(tag::Y_RESOLUTION)?;
@@ -135,8 +134,11 @@ fn imagej(tiff: &Tiff, ifd: &Ifd, pages: u64, text: &str) -> Result<Stack, Error
             .find(|(name, _)| *name == key)
             .map(|(_, value)| value.trim())
     };
-    let number = |key: &str| -> Option<f64> { value(key)?.parse().ok().filter(|n: &f64| n.is_finite()) };
-    let bad = |what: String| Error::invalid(tiff.name(), format!("the ImageJ description {what}")).at(ifd.at);
+    let number =
+        |key: &str| -> Option<f64> { value(key)?.parse().ok().filter(|n: &f64| n.is_finite()) };
+    let bad = |what: String| {
+        Error::invalid(tiff.name(), format!("the ImageJ description {what}")).at(ifd.at)
+    };
     let count = |key: &str| -> Result<Option<u64>, Error> {
         match value(key) {
             None => Ok(None),
@@ -147,7 +149,10 @@ fn imagej(tiff: &Tiff, ifd: &Ifd, pages: u64, text: &str) -> Result<Stack, Error
         }
     };
     let images = count("images")?.unwrap_or(1);
-    let (channels, frames) = (count("channels")?.unwrap_or(1), count("frames")?.unwrap_or(1));
+    let (channels, frames) = (
+        count("channels")?.unwrap_or(1),
+        count("frames")?.unwrap_or(1),
+    );
     let slices = match count("slices")? {
         Some(n) => n,
         None if channels == 1 && frames == 1 => images,
@@ -162,7 +167,9 @@ fn imagej(tiff: &Tiff, ifd: &Ifd, pages: u64, text: &str) -> Result<Stack, Error
         )));
     }
     if pages != images && pages != 1 {
-        return Err(bad(format!("says {images} images, but the file has {pages} pages")));
+        return Err(bad(format!(
+            "says {images} images, but the file has {pages} pages"
+        )));
     }
     stack.contiguous = pages != images;
     stack.palette_is_display = true;
@@ -174,7 +181,13 @@ fn imagej(tiff: &Tiff, ifd: &Ifd, pages: u64, text: &str) -> Result<Stack, Error
             tiff.name()
         ));
     }
-    imagej_space(tiff, ifd, &mut stack, value("unit").map(unescaped), number("spacing"))?;
+    imagej_space(
+        tiff,
+        ifd,
+        &mut stack,
+        value("unit").map(unescaped),
+        number("spacing"),
+    )?;
     imagej_values(tiff, &mut stack, value("cf"), number("c0"), number("c1"));
     Ok(stack)
 }
@@ -196,9 +209,10 @@ fn imagej_space(
     let [x, y] = pixel.unwrap_or([1.0; 2]);
     let (unit, factor) = known.unwrap_or((Unit::Unknown, 1.0));
     stack.unit = unit;
+    stack.depth_is_noted = depth.is_some();
     // ImageJ leaves a depth of 1 out.
     stack.spacing = Some([x, y, depth.unwrap_or(1.0)].map(|s| s * factor));
-    if depth.is_none() {
+    if depth.is_none() && stack.planes() > Some(1) {
         stack.warnings.push(format!(
             "{}: ImageJ notes no distance of the planes, and means 1 {} by that",
             tiff.name(),
@@ -241,7 +255,9 @@ fn unescaped(text: &str) -> String {
     let mut rest = text;
     while let Some((before, behind)) = rest.split_once("\\u") {
         out.push_str(before);
-        let code = behind.get(..4).and_then(|hex| u32::from_str_radix(hex, 16).ok());
+        let code = behind
+            .get(..4)
+            .and_then(|hex| u32::from_str_radix(hex, 16).ok());
         match code.and_then(char::from_u32) {
             Some(c) => {
                 out.push(c);

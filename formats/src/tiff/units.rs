@@ -37,7 +37,14 @@ mod tests {
 
     #[test]
     fn both_micro_signs_and_words_are_micrometres() {
-        for text in ["um", "\u{b5}m", "\u{3bc}m", "micron", "Microns", " micrometer "] {
+        for text in [
+            "um",
+            "\u{b5}m",
+            "\u{3bc}m",
+            "micron",
+            "Microns",
+            " micrometer ",
+        ] {
             assert_eq!(length(text), Some((Unit::Micrometre, 1.0)), "{text}");
         }
         assert_eq!(length("inch"), Some((Unit::Millimetre, 25.4)));

@@ -134,7 +134,7 @@ pub(super) enum Fax {
 pub(super) fn fax(
     kind: Fax,
     data: &[u8],
-    width: usize,
+    width: u64,
     rows: usize,
     out: &mut Vec<u8>,
 ) -> Result<(), Failure> {
@@ -186,7 +186,11 @@ fn runs(reader: &mut impl BitReader, width: u32, ends: &mut Vec<u32>) -> Option<
     let mut is_black = false;
     while end < width || ends.is_empty() {
         loop {
-            let run = if is_black { black::decode(reader)? } else { white::decode(reader)? };
+            let run = if is_black {
+                black::decode(reader)?
+            } else {
+                white::decode(reader)?
+            };
             end = end.checked_add(run.into()).filter(|end| *end <= width)?;
             // Longer runs are make-up codes, before one that ends the run.
             if run < 64 {

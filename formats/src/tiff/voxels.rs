@@ -79,13 +79,25 @@ impl PlaneVoxels {
             && header.plane_bytes() == Some(*stride)
         {
             let bytes = tiff.bytes.clone();
-            return Box::new(StoredVoxels::new(bytes, name, *first, header, AxisOrder::XFastest));
+            return Box::new(StoredVoxels::new(
+                bytes,
+                name,
+                *first,
+                header,
+                AxisOrder::XFastest,
+            ));
         }
         let chunk = self.chunk;
         Box::new(ChunkedVoxels::new(name, header, chunk, Box::new(self)))
     }
 
-    fn read(&self, tiff: &Tiff, page: &Page, index: [u64; 3], out: &mut Vec<u8>) -> Result<(), Error> {
+    fn read(
+        &self,
+        tiff: &Tiff,
+        page: &Page,
+        index: [u64; 3],
+        out: &mut Vec<u8>,
+    ) -> Result<(), Error> {
         let blocks = Blocks {
             tiff,
             page,
@@ -96,7 +108,12 @@ impl PlaneVoxels {
         blocks.read(origin, size, out)?;
         let voxel = page.layout.voxel.bytes();
         // Fits: it is at most a plane, of which a part was just read.
-        pad(out, size[0] as usize * voxel, self.chunk.map(|n| n as usize), voxel);
+        pad(
+            out,
+            size[0] as usize * voxel,
+            self.chunk.map(|n| n as usize),
+            voxel,
+        );
         Ok(())
     }
 }
@@ -108,8 +125,12 @@ fn chunk(planes: &Planes, dims: [u64; 3]) -> [u64; 3] {
         Planes::Regular { .. } => return whole,
         Planes::Pages { sources, pages } => match pages.split_first() {
             Some(((_, first), rest))
-                if rest.iter().all(|(_, page)| page.layout.block == first.layout.block)
-                    && sources.iter().all(|source| matches!(source, Source::Open(_))) =>
+                if rest
+                    .iter()
+                    .all(|(_, page)| page.layout.block == first.layout.block)
+                    && sources
+                        .iter()
+                        .all(|source| matches!(source, Source::Open(_))) =>
             {
                 &first.layout
             }

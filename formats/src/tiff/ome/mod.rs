@@ -70,7 +70,12 @@ pub(super) fn open(
     let ome = describe(tiff, description, context)?;
     let name = tiff.name();
     let image = choose_image(name, &ome, context.options.dataset.as_deref())?;
-    let bad = |what: String| Error::invalid(name, format!("the OME-XML of image {}: {what}", image.label()));
+    let bad = |what: String| {
+        Error::invalid(
+            name,
+            format!("the OME-XML of image {}: {what}", image.label()),
+        )
+    };
     let samples = image.samples.max(1);
     if image.sizes.contains(&0) || image.sizes[3] % samples != 0 {
         return Err(bad(format!(
@@ -103,7 +108,10 @@ pub(super) fn open(
     }
     let (gathered, extents) = files.gather(&spots)?;
     if extents != [x, y] {
-        return Err(bad(format!("says {x} x {y} pixels, but the pages have {} x {}", extents[0], extents[1])));
+        return Err(bad(format!(
+            "says {x} x {y} pixels, but the pages have {} x {}",
+            extents[0], extents[1]
+        )));
     }
     let mut about = About::default();
     space(name, image, &mut about);
@@ -114,7 +122,14 @@ pub(super) fn open(
     let gathered = gathered.into_planes(name)?;
     about.coarsen(extents, &gathered.1);
     let source = tiff.bytes.source();
-    Ok(about.volume(Format::Tiff, source, gathered, tiff.order, choice.sample, slices))
+    Ok(about.volume(
+        Format::Tiff,
+        source,
+        gathered,
+        tiff.order,
+        choice.sample,
+        slices,
+    ))
 }
 
 /// The OME-XML, from the companion file if the description only names one.
@@ -208,7 +223,8 @@ fn space(name: &str, image: &Image, about: &mut About) {
         }
         [None, None, None] => {}
         [x, y, z] => {
-            let shown = [x, y, z].map(|e| e.map_or("unknown".into(), |(s, unit)| format!("{s} {unit}")));
+            let shown =
+                [x, y, z].map(|e| e.map_or("unknown".into(), |(s, unit)| format!("{s} {unit}")));
             about.warnings.push(format!(
                 "{name}: the OME-XML says voxels of {}: lengths are in voxels unless --spacing is \
                  given",
@@ -234,7 +250,10 @@ impl<'a> Files<'a> {
         let number = |at: [u64; 3]| -> Option<u64> {
             let [a, b, c] = order.map(|axis| at[axis]);
             let [na, nb, _] = order.map(|axis| counts[axis]);
-            c.checked_mul(nb)?.checked_add(b)?.checked_mul(na)?.checked_add(a)
+            c.checked_mul(nb)?
+                .checked_add(b)?
+                .checked_mul(na)?
+                .checked_add(a)
         };
         let at = |n: u64| -> [u64; 3] {
             let [na, nb, _] = order.map(|axis| counts[axis]);
@@ -247,7 +266,9 @@ impl<'a> Files<'a> {
         };
         let mut spots = BTreeMap::new();
         for data in &image.tiff_data {
-            let TiffData { first, ifd, count, .. } = *data;
+            let TiffData {
+                first, ifd, count, ..
+            } = *data;
             if first.iter().zip(counts).any(|(n, count)| *n >= count) {
                 return Err(damaged(
                     self.tiff.name(),
@@ -304,17 +325,22 @@ impl<'a> Files<'a> {
         let Some(here) = self.path else {
             return Err(Error::unsupported(
                 self.tiff.name(),
-                format!("some planes are in another file, '{named}', which cannot be found from a stream"),
+                format!(
+                    "some planes are in another file, '{named}', which cannot be found from a stream"
+                ),
             ));
         };
         let path = beside(here, named, self.options.outside)
             .map_err(|message| Error::unsupported(self.tiff.name(), message))?;
         let name = path.display().to_string();
         let file = File::open(&path).map_err(|e| Error::io(&name, "cannot be opened", e))?;
-        let metadata = file.metadata().map_err(|e| Error::io(&name, "cannot be read", e))?;
+        let metadata = file
+            .metadata()
+            .map_err(|e| Error::io(&name, "cannot be read", e))?;
         let other = Other {
             fingerprint: Fingerprint::of(&metadata),
-            pages: Directories::walk(&Tiff::new(FileBytes::of_file(file, &path, IoMode::Read)?)?)?.all,
+            pages: Directories::walk(&Tiff::new(FileBytes::of_file(file, &path, IoMode::Read)?)?)?
+                .all,
             path,
         };
         let count = other.pages.len() as u64;

@@ -84,7 +84,9 @@ impl Image {
 /// Reads a document.
 pub(super) fn parse(text: &[u8]) -> Result<Ome, String> {
     let text = String::from_utf8_lossy(text);
-    let text = text.trim_start_matches('\u{feff}').trim_end_matches(['\0', ' ', '\n', '\r']);
+    let text = text
+        .trim_start_matches('\u{feff}')
+        .trim_end_matches(['\0', ' ', '\n', '\r']);
     let mut reader = Reader::from_str(text);
     let mut ome = Ome::default();
     // Inside annotations other vocabularies may use the same words.
@@ -160,7 +162,11 @@ impl Ome {
                 let Some(image) = self.images.last_mut() else {
                     return Ok(());
                 };
-                for (size, key) in image.sizes.iter_mut().zip(["SizeX", "SizeY", "SizeZ", "SizeC", "SizeT"]) {
+                for (size, key) in image
+                    .sizes
+                    .iter_mut()
+                    .zip(["SizeX", "SizeY", "SizeZ", "SizeC", "SizeT"])
+                {
                     *size = number(key)?.ok_or_else(|| format!("{key} is missing"))?;
                 }
                 image.dimension_order = text("DimensionOrder")?.unwrap_or_default();
@@ -246,7 +252,10 @@ mod tests {
         let data = &image.tiff_data[0];
         assert_eq!((data.first, data.ifd, data.count), ([0, 1, 0], 3, Some(1)));
         let file = data.file.as_ref().unwrap();
-        assert_eq!((file.name.as_str(), file.uuid.as_deref()), ("b.tif", Some("urn:uuid:b")));
+        assert_eq!(
+            (file.name.as_str(), file.uuid.as_deref()),
+            ("b.tif", Some("urn:uuid:b"))
+        );
     }
 
     #[test]
