@@ -56,6 +56,7 @@ mod header;
 
 mod input;
 
+mod jpeg;
 mod lines;
 
 mod map;
@@ -93,12 +94,14 @@ mod record;
 mod registry;
 
 mod shares;
+mod slices;
 
 mod stored;
 
 mod stream;
 
 mod text;
+mod tiff;
 
 mod vol;
 

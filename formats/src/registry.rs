@@ -13,7 +13,7 @@ use crate::input::Input;
 use crate::options::OpenOptions;
 use crate::parsed::{Context, Parsed};
 use crate::volume::Volume;
-use crate::{metaimage, mgh, mrc, nifti, npy, npz, nrrd, raw, vol, vtk};
+use crate::{metaimage, mgh, mrc, nifti, npy, npz, nrrd, raw, slices, tiff, vol, vtk};
 
 /// What there is to know about a format before a file is opened.
 #[derive(Clone, Copy, Debug)]
@@ -213,6 +213,36 @@ static FORMATS: &[FormatInfo] = &[
         choices: NONE,
         missing_feature: None,
     },
+    FormatInfo {
+        format: Format::Tiff,
+        names: &["tiff", "tif"],
+        title: "TIFF",
+        extensions: ".tif .tiff .ome.tif .btf .lsm",
+        variants: "BigTIFF, ImageJ, OME; strips and tiles; LZW, deflate, zstd, PackBits, CCITT, grey JPEG; 1 to 64 bits",
+        forward: false,
+        choices: Choices {
+            frame: true,
+            channel: true,
+            dataset: true,
+            level: true,
+        },
+        missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::Slices,
+        names: &["slices"],
+        title: "slices",
+        extensions: "a folder or 'pattern*' of .tif .png .jpg .pgm",
+        variants: "one grey image a plane, in natural order",
+        forward: false,
+        choices: Choices {
+            frame: true,
+            channel: true,
+            dataset: true,
+            level: true,
+        },
+        missing_feature: None,
+    },
 ];
 
 /// How the voxels of a file are found.
@@ -299,6 +329,16 @@ pub(crate) static READERS: &[Entry] = &[
         reader: Reader::Header(mgh::parse),
     },
     Entry {
+        format: Format::Tiff,
+        detect: tiff::detect,
+        reader: Reader::Bytes(tiff::open),
+    },
+    Entry {
+        format: Format::Slices,
+        detect: slices::is_image,
+        reader: Reader::Bytes(slices::refuse_one),
+    },
+    Entry {
         format: Format::Raw,
         detect: |_| false,
         reader: Reader::Header(raw::parse),
@@ -314,7 +354,11 @@ pub(crate) struct Folder {
 }
 
 /// Readers of folders. The first that recognises the folder is taken.
-pub(crate) static FOLDERS: &[Folder] = &[];
+pub(crate) static FOLDERS: &[Folder] = &[Folder {
+    format: Format::Slices,
+    detect: slices::detect,
+    open: slices::open_folder,
+}];
 
 /// Refuses choices that the format does not offer.
 pub(crate) fn check_choices(
