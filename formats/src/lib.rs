@@ -71,6 +71,8 @@ mod raw;
 
 mod registry;
 
+mod store;
+
 mod stored;
 
 mod stream;
@@ -80,6 +82,8 @@ mod vol;
 mod volume;
 
 pub mod write;
+
+mod zarr;
 
 pub use error::{Error, ErrorKind};
 pub use header::{

@@ -1,0 +1,1 @@
+//! Volumes on web servers and in buckets.
