@@ -58,9 +58,10 @@ impl ArrayChunks {
         }
     }
 
-    /// Shape of a piece of the volume.
+    /// Shape of a piece of the volume: a chunk, or what there is of it where there is but one.
     pub(crate) fn piece(&self) -> [u64; 3] {
-        self.view.pick(self.array.chunk())
+        let (chunk, dims) = (self.array.chunk(), &self.array.shape);
+        self.view.axes.map(|axis| chunk[axis].min(dims[axis].max(1)))
     }
 
     /// Place in the grid of chunks of a piece of the volume.
@@ -185,10 +186,15 @@ impl ArrayChunks {
     }
 
     /// Decodes the chunk in the first buffer and gives the shape it has.
-    fn decode_chunk(&self, [data, spare]: &mut [Vec<u8>; 2], name: &str) -> Result<Vec<u64>, Error> {
+    fn decode_chunk(
+        &self,
+        place: &[u64],
+        [data, spare]: &mut [Vec<u8>; 2],
+        name: &str,
+    ) -> Result<Vec<u64>, Error> {
         let array = &self.array;
         let shape = match array.keys {
-            Keys::N5 => n5::block(name, data, array.chunk())?,
+            Keys::N5 => n5::block(name, data, array, place)?,
             _ => array.chunk().to_vec(),
         };
         // Not more than a chunk, which was checked.
@@ -201,8 +207,9 @@ impl ArrayChunks {
         Ok(shape)
     }
 
-    /// Replaces `out` by the view's part of a decoded chunk of the given shape.
-    fn gather(&self, data: &mut Vec<u8>, shape: &[u64], out: &mut Vec<u8>) -> Result<(), String> {
+    /// Replaces `out` by the view's part of a decoded chunk of the given shape, which holds all
+    /// of the array that lies in the chunk.
+    fn gather(&self, data: &mut Vec<u8>, shape: &[u64], out: &mut Vec<u8>) {
         let bytes = self.array.dtype.voxel.bytes();
         let mut stride = vec![0_u64; shape.len()];
         let mut step = 1;
@@ -211,18 +218,12 @@ impl ArrayChunks {
             // Not more than a chunk's voxels.
             step *= shape[axis];
         }
-        let mut base = 0;
-        for (axis, entry) in &self.view.fixed {
-            let within = entry % self.array.chunk()[*axis];
-            if within >= shape[*axis] {
-                return Err(format!(
-                    "the block ends before entry {entry} of axis {axis}, which was asked for"
-                ));
-            }
-            base += within * stride[*axis];
-        }
+        let base = self.view.fixed.iter().fold(0, |base, (axis, entry)| {
+            base + entry % self.array.chunk()[*axis] * stride[*axis]
+        });
         let piece = self.piece();
-        let size = self.view.pick(shape);
+        let held = self.view.pick(shape);
+        let size = [0, 1, 2].map(|a| held[a].min(piece[a]));
         let steps = self.view.pick(&stride);
         if base == 0
             && size == piece
@@ -230,7 +231,7 @@ impl ArrayChunks {
             && data.len() as u64 == piece[0] * piece[1] * piece[2] * bytes as u64
         {
             std::mem::swap(data, out);
-            return Ok(());
+            return;
         }
         // All within a chunk that is in memory, so the casts are exact.
         let [px, py, pz] = piece.map(|n| n as usize);
@@ -256,7 +257,6 @@ impl ArrayChunks {
                 }
             }
         }
-        Ok(())
     }
 }
 
@@ -304,9 +304,8 @@ impl Chunks for ArrayChunks {
             }
             Some((name, offset)) => {
                 let failed = |e: Error| if offset > 0 { e.at(offset) } else { e };
-                let shape = self.decode_chunk(&mut buffers, &name).map_err(failed)?;
-                self.gather(&mut buffers[0], &shape, out)
-                    .map_err(|message| failed(Error::invalid(&name, message)))?;
+                let shape = self.decode_chunk(&place, &mut buffers, &name).map_err(failed)?;
+                self.gather(&mut buffers[0], &shape, out);
             }
         }
         self.spare

@@ -93,8 +93,15 @@ fn compression(document: &Document) -> Result<Option<Step>, Error> {
     }))
 }
 
-/// Takes the header off a block and gives the block's shape, in the order of the array's axes.
-pub(crate) fn block(name: &str, data: &mut Vec<u8>, chunk: &[u64]) -> Result<Vec<u64>, Error> {
+/// Takes the header off a block and gives the block's shape, in the order of the array's axes:
+/// that of the grid, or at least what of it lies in the array.
+pub(crate) fn block(
+    name: &str,
+    data: &mut Vec<u8>,
+    array: &Array,
+    place: &[u64],
+) -> Result<Vec<u64>, Error> {
+    let chunk = &array.grid;
     let short = |found: usize| {
         Error::invalid(
             name,
@@ -126,7 +133,11 @@ pub(crate) fn block(name: &str, data: &mut Vec<u8>, chunk: &[u64]) -> Result<Vec
         .rev()
         .map(|extent| u64::from(u32::from_be_bytes(*extent)))
         .collect();
-    let fits = shape.iter().zip(chunk).all(|(n, most)| (1..=*most).contains(n));
+    let fits = (0..shape.len()).all(|axis| {
+        let most = chunk[axis];
+        let there = array.shape[axis].saturating_sub(place[axis].saturating_mul(most));
+        (there.min(most)..=most).contains(&shape[axis])
+    });
     if !fits || product(&shape).is_none() {
         return Err(Error::invalid(
             name,

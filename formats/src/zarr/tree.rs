@@ -398,9 +398,13 @@ impl<'a> Tree<'a> {
         left: &mut usize,
         found: &mut Vec<Candidate>,
     ) -> Result<(), Error> {
-        let children = match self.store.children(key)? {
-            Some(children) => children,
-            None => self.consolidated(key, group)?,
+        let Some(children) = self.store.children(key)? else {
+            let paths = if group.optional("bioformats2raw.layout").is_some() {
+                self.series(key)?
+            } else {
+                self.consolidated(key, group)?
+            };
+            return self.search_paths(key, &paths, found);
         };
         let before = found.len();
         for child in children {
@@ -410,6 +414,11 @@ impl<'a> Tree<'a> {
             *left -= 1;
             let below = join(key, &child);
             match self.node(&below)? {
+                // A folder without metadata may hold arrays all the same.
+                None if depth < MOST_DEPTH => {
+                    let nothing = Document::new(&self.name(&below), empty_object());
+                    self.search_below(&below, &nothing, depth + 1, left, found)?;
+                }
                 None => {}
                 Some(Node::Array(array)) => {
                     found.push(Candidate::Array(below, array.shape.clone()));
@@ -430,7 +439,51 @@ impl<'a> Tree<'a> {
         Ok(())
     }
 
-    /// Names below a group out of its consolidated metadata, for stores that cannot list.
+    /// What is at paths that are known, sorted, where the store cannot list.
+    fn search_paths(
+        &self,
+        key: &str,
+        paths: &[String],
+        found: &mut Vec<Candidate>,
+    ) -> Result<(), Error> {
+        for path in paths.iter().take(MOST_NODES) {
+            let below = join(key, path);
+            let in_image = found.iter().any(|candidate| {
+                matches!(candidate, Candidate::Image(image)
+                    if below.strip_prefix(image.as_str()).is_some_and(|b| b.starts_with('/')))
+            });
+            if in_image {
+                continue;
+            }
+            match self.node(&below)? {
+                Some(Node::Array(array)) => {
+                    found.push(Candidate::Array(below, array.shape.clone()));
+                }
+                Some(Node::Group(group)) => {
+                    if !ome::multiscales(&ome::attributes(&group))?.is_empty() {
+                        found.push(Candidate::Image(below));
+                    }
+                }
+                None => {}
+            }
+        }
+        Ok(())
+    }
+
+    /// The images of bioformats2raw, which are numbered from 0, in a store that cannot list.
+    fn series(&self, key: &str) -> Result<Vec<String>, Error> {
+        let mut names = Vec::new();
+        for number in 0..MOST_NODES {
+            let name = number.to_string();
+            if self.node(&join(key, &name))?.is_none() {
+                break;
+            }
+            names.push(name);
+        }
+        Ok(names)
+    }
+
+    /// Paths below a group out of its consolidated metadata, for stores that cannot list.
     fn consolidated(&self, key: &str, group: &Document) -> Result<Vec<String>, Error> {
         let mut paths = Vec::new();
         if let Some(metadata) = group
@@ -448,22 +501,16 @@ impl<'a> Tree<'a> {
             });
             paths.extend(nodes.map(str::to_string));
         }
-        let mut names: Vec<_> = paths
-            .iter()
-            .filter_map(|path| path.split('/').next())
-            .filter(|name| !name.is_empty())
-            .map(str::to_string)
-            .collect();
-        names.sort();
-        names.dedup();
-        if names.is_empty() {
+        paths.retain(|path| !path.is_empty());
+        paths.sort();
+        if paths.is_empty() {
             return Err(Error::unsupported(
                 self.name(key),
                 "is a group, and what is in it cannot be listed here; choose an array with \
                  --dataset PATH",
             ));
         }
-        Ok(names)
+        Ok(paths)
     }
 }
 
