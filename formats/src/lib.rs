@@ -92,4 +92,5 @@ pub use header::{
 pub use open::{open, open_stream};
 pub use options::{IoMode, OpenOptions, RawLayout};
 pub use registry::{Choices, FormatInfo, formats};
+pub use store::open_url;
 pub use volume::{ForwardVoxels, RandomVoxels, SourceInfo, Volume, Voxels};

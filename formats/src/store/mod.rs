@@ -9,23 +9,12 @@
 
 mod folder;
 
-#[cfg(feature = "remote")]
-mod http;
-
-#[cfg(feature = "remote")]
-mod s3;
-
-#[cfg(feature = "remote")]
-mod sign;
-
-#[cfg(feature = "remote")]
-mod url;
-
 mod remote;
 
 use crate::error::Error;
 
 pub(crate) use folder::Folder;
+pub use remote::open_url;
 
 /// Which bytes of an object are wanted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -59,9 +48,7 @@ impl Part {
             {
                 Err(Error::invalid(
                     name,
-                    format!(
-                        "ends early: {count} bytes expected at byte {offset}, it has {length}"
-                    ),
+                    format!("ends early: {count} bytes expected at byte {offset}, it has {length}"),
                 )
                 .at(offset))
             }

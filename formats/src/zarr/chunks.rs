@@ -61,7 +61,9 @@ impl ArrayChunks {
     /// Shape of a piece of the volume: a chunk, or what there is of it where there is but one.
     pub(crate) fn piece(&self) -> [u64; 3] {
         let (chunk, dims) = (self.array.chunk(), &self.array.shape);
-        self.view.axes.map(|axis| chunk[axis].min(dims[axis].max(1)))
+        self.view
+            .axes
+            .map(|axis| chunk[axis].min(dims[axis].max(1)))
     }
 
     /// Place in the grid of chunks of a piece of the volume.
@@ -273,17 +275,17 @@ fn spread<const N: usize>(from: &[u8], step: usize, to: &mut [u8]) {
 /// The place of the shard of a chunk, and the number of the chunk in its index.
 fn split(shard: &Shard, place: &[u64]) -> (Vec<u64>, usize) {
     let outer = place.iter().zip(&shard.count).map(|(p, n)| p / n).collect();
-    let within = shard
-        .order
-        .iter()
-        .fold(0, |number, &axis| {
-            number * shard.count[axis] + place[axis] % shard.count[axis]
-        });
+    let within = shard.order.iter().fold(0, |number, &axis| {
+        number * shard.count[axis] + place[axis] % shard.count[axis]
+    });
     (outer, usize::try_from(within).unwrap_or(usize::MAX))
 }
 
 fn changed(name: &str) -> Error {
-    Error::invalid(name, "changed while it was read: its index is of another version")
+    Error::invalid(
+        name,
+        "changed while it was read: its index is of another version",
+    )
 }
 
 impl Chunks for ArrayChunks {
@@ -304,7 +306,9 @@ impl Chunks for ArrayChunks {
             }
             Some((name, offset)) => {
                 let failed = |e: Error| if offset > 0 { e.at(offset) } else { e };
-                let shape = self.decode_chunk(&place, &mut buffers, &name).map_err(failed)?;
+                let shape = self
+                    .decode_chunk(&place, &mut buffers, &name)
+                    .map_err(failed)?;
                 self.gather(&mut buffers[0], &shape, out);
             }
         }

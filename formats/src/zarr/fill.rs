@@ -14,7 +14,11 @@ pub(crate) fn fill_value(document: &Document, dtype: DType) -> Result<[u8; 8], E
         return Ok([0; 8]);
     };
     let bits = bits(value, dtype.voxel).ok_or_else(|| {
-        document.wrong("fill_value", value, &format!("a value of type {}", dtype.voxel))
+        document.wrong(
+            "fill_value",
+            value,
+            &format!("a value of type {}", dtype.voxel),
+        )
     })?;
     let count = dtype.voxel.bytes();
     let mut bytes = bits.to_le_bytes();
@@ -106,7 +110,11 @@ mod tests {
         ] {
             let document = Document::new("a", json!({ "fill_value": value }));
             let found = fill_value(&document, DType::little(voxel)).ok();
-            assert_eq!(found.map(u64::from_le_bytes), expected, "{value} as {voxel}");
+            assert_eq!(
+                found.map(u64::from_le_bytes),
+                expected,
+                "{value} as {voxel}"
+            );
         }
         let document = Document::new("a", json!({ "fill_value": 1 }));
         let big = fill_value(&document, DType::big(VoxelType::U16)).unwrap();

@@ -154,10 +154,7 @@ impl Document {
 
     /// The error of a value of the wrong kind.
     pub(crate) fn wrong(&self, key: &str, value: &Value, expected: &str) -> Error {
-        self.invalid(format!(
-            "'{key}' is {}, {expected} expected",
-            short(value)
-        ))
+        self.invalid(format!("'{key}' is {}, {expected} expected", short(value)))
     }
 }
 

@@ -62,7 +62,9 @@ pub(crate) fn detect(path: &Path) -> bool {
 /// Whether a folder looks like an N5 container or dataset.
 pub(crate) fn detect_n5(path: &Path) -> bool {
     path.join("attributes.json").exists()
-        || path.extension().is_some_and(|e| e.eq_ignore_ascii_case("n5"))
+        || path
+            .extension()
+            .is_some_and(|e| e.eq_ignore_ascii_case("n5"))
 }
 
 /// Opens the Zarr array or group in a folder.
@@ -111,7 +113,9 @@ pub(crate) fn open(
     if array.shape.len() != 3 || view.axes != [2, 1, 0] {
         let letters: Vec<_> = match axes {
             Some(axes) => axes.to_vec(),
-            None => (0..array.shape.len()).map(|axis| axis.to_string()).collect(),
+            None => (0..array.shape.len())
+                .map(|axis| axis.to_string())
+                .collect(),
         };
         header.details.push((
             "axes",
@@ -127,7 +131,9 @@ pub(crate) fn open(
         let shards = array.shape.iter().zip(&array.grid);
         let shards = shards.fold(1_u64, |n, (s, g)| n.saturating_mul(s.div_ceil(*g)));
         let bytes = shard.index_bytes().unwrap_or(u64::MAX);
-        held_bytes = shards.saturating_mul(bytes).min(KEPT_INDEX_BYTES.max(bytes));
+        held_bytes = shards
+            .saturating_mul(bytes)
+            .min(KEPT_INDEX_BYTES.max(bytes));
     }
     header.details.push(("compression", array.chain.describe()));
     let source = SourceInfo {

@@ -138,9 +138,9 @@ impl Multiscale {
             ..Space::new(axes)
         };
         for list in [&level.transforms, &self.transforms] {
-            let list = list.as_array().ok_or_else(|| {
-                document.wrong("coordinateTransformations", list, "a list")
-            })?;
+            let list = list
+                .as_array()
+                .ok_or_else(|| document.wrong("coordinateTransformations", list, "a list"))?;
             for transform in list {
                 apply(document, transform, &mut space)?;
             }
@@ -165,18 +165,20 @@ fn apply(document: &Document, transform: &Value, space: &mut Space) -> Result<()
     let kind = transform.get("type").and_then(Value::as_str);
     let numbers = |key: &str| {
         let list = transform.get(key).and_then(Value::as_array);
-        let numbers = list.and_then(|list| {
-            list.iter().map(Value::as_f64).collect::<Option<Vec<_>>>()
-        });
-        numbers.filter(|numbers| numbers.len() == axes).ok_or_else(|| {
-            if transform.get("path").is_some() {
-                return document.unsupported(format!("a {key} kept in another file is not read"));
-            }
-            document.invalid(format!(
-                "the transformation {} has no '{key}' of {axes} numbers",
-                short(transform)
-            ))
-        })
+        let numbers =
+            list.and_then(|list| list.iter().map(Value::as_f64).collect::<Option<Vec<_>>>());
+        numbers
+            .filter(|numbers| numbers.len() == axes)
+            .ok_or_else(|| {
+                if transform.get("path").is_some() {
+                    return document
+                        .unsupported(format!("a {key} kept in another file is not read"));
+                }
+                document.invalid(format!(
+                    "the transformation {} has no '{key}' of {axes} numbers",
+                    short(transform)
+                ))
+            })
     };
     match kind {
         Some("identity") => {}

@@ -77,7 +77,11 @@ impl<'a> Tree<'a> {
             .split('/')
             .filter(|step| !step.is_empty() && *step != ".")
             .collect();
-        if !self.options.outside && steps.iter().any(|step| *step == ".." || step.contains('\\')) {
+        if !self.options.outside
+            && steps
+                .iter()
+                .any(|step| *step == ".." || step.contains('\\'))
+        {
             return Err(Error::unsupported(
                 self.name(""),
                 format!("the path '{path}' leaves the container; allow it with --outside"),
@@ -114,15 +118,15 @@ impl<'a> Tree<'a> {
                     }
                     Ok(Some(Node::Group(attributes)))
                 }
-                other => Err(document.invalid(format!(
-                    "'node_type' is '{other}', array or group expected"
-                ))),
+                other => {
+                    Err(document
+                        .invalid(format!("'node_type' is '{other}', array or group expected")))
+                }
             };
         }
         let attributes = |attributes: Option<Document>, file: &str| {
-            attributes.unwrap_or_else(|| {
-                Document::new(&self.name(&join(key, file)), empty_object())
-            })
+            attributes
+                .unwrap_or_else(|| Document::new(&self.name(&join(key, file)), empty_object()))
         };
         if let Some(document) = read(".zarray")? {
             let attributes = attributes(read(".zattrs")?, ".zattrs");
@@ -270,7 +274,10 @@ impl<'a> Tree<'a> {
         let Some(level) = chosen.and_then(|number| image.levels.get(number)) else {
             return Err(Error::unsupported(
                 self.name(key),
-                format!("there is no level {number}; there are {}", image.list_levels()),
+                format!(
+                    "there is no level {number}; there are {}",
+                    image.list_levels()
+                ),
             ));
         };
         let below = join(key, &self.clean(&level.path)?);

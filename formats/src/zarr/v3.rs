@@ -58,11 +58,12 @@ pub(crate) fn array(document: &Document, key: &str) -> Result<Array, Error> {
     let shape = document.extents("shape", 0)?;
     let axes = shape.len();
     let grid = {
-        let (name, configuration) = named(document, "chunk_grid", document.required("chunk_grid")?)?;
+        let (name, configuration) =
+            named(document, "chunk_grid", document.required("chunk_grid")?)?;
         if name != "regular" {
-            return Err(document.unsupported(format!(
-                "the chunk grid '{name}' is not read; 'regular' is"
-            )));
+            return Err(
+                document.unsupported(format!("the chunk grid '{name}' is not read; 'regular' is"))
+            );
         }
         configuration.extents("chunk_shape", 1)?
     };

@@ -103,7 +103,10 @@ fn entry(name: &str, what: &str, wanted: Option<u64>, extent: u64) -> Result<u64
         None if extent == 1 => Ok(0),
         None => Err(Error::unsupported(
             name,
-            format!("has {extent} {what}s; choose one with --{what} 0 to {}", extent.max(1) - 1),
+            format!(
+                "has {extent} {what}s; choose one with --{what} 0 to {}",
+                extent.max(1) - 1
+            ),
         )),
         Some(wanted) if wanted < extent => Ok(wanted),
         Some(wanted) => Err(Error::unsupported(

@@ -1,1 +1,0 @@
-//! Volumes on web servers and in buckets.
