@@ -34,6 +34,8 @@
 // Without the SIGBUS guard some helpers of the map have no use.
 #![cfg_attr(not(unix), allow(dead_code))]
 
+mod codec;
+
 pub mod conformance;
 
 mod analyze;
@@ -95,6 +97,7 @@ mod registry;
 
 mod shares;
 mod slices;
+mod store;
 
 mod stored;
 
@@ -112,6 +115,7 @@ mod vtk;
 pub mod write;
 
 mod zip;
+mod zarr;
 
 pub use error::{Error, ErrorKind};
 pub use header::{
@@ -120,4 +124,5 @@ pub use header::{
 pub use open::{open, open_stream};
 pub use options::{IoMode, OpenOptions, RawLayout};
 pub use registry::{Choices, FormatInfo, formats};
+pub use store::open_url;
 pub use volume::{ForwardVoxels, RandomVoxels, SourceInfo, Volume, Voxels};

@@ -13,7 +13,7 @@ use crate::input::Input;
 use crate::options::OpenOptions;
 use crate::parsed::{Context, Parsed};
 use crate::volume::Volume;
-use crate::{metaimage, mgh, mrc, nifti, npy, npz, nrrd, raw, slices, tiff, vol, vtk};
+use crate::{metaimage, mgh, mrc, nifti, npy, npz, nrrd, raw, slices, tiff, vol, vtk, zarr};
 
 /// What there is to know about a format before a file is opened.
 #[derive(Clone, Copy, Debug)]
@@ -66,6 +66,11 @@ const FRAME: Choices = Choices {
 const DATASET: Choices = Choices {
     dataset: true,
     ..NONE
+const ALL: Choices = Choices {
+    frame: true,
+    channel: true,
+    dataset: true,
+    level: true,
 };
 
 /// All formats, in the order of the table that is printed.
@@ -241,6 +246,25 @@ static FORMATS: &[FormatInfo] = &[
             dataset: true,
             level: true,
         },
+    },
+    FormatInfo {
+        format: Format::Zarr,
+        names: &["zarr", "ome-zarr"],
+        title: "Zarr, OME-Zarr",
+        extensions: ".zarr .ome.zarr",
+        variants: "version 2 and 3, shards, OME-Zarr 0.1 to 0.5; blosc, zstd, lz4, gzip, zlib, bz2",
+        forward: false,
+        choices: ALL,
+        missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::N5,
+        names: &["n5"],
+        title: "N5",
+        extensions: ".n5",
+        variants: "raw, gzip, bzip2, lz4, blosc, zstd; pyramids s0, s1",
+        forward: false,
+        choices: ALL,
         missing_feature: None,
     },
 ];
@@ -359,6 +383,18 @@ pub(crate) static FOLDERS: &[Folder] = &[Folder {
     detect: slices::detect,
     open: slices::open_folder,
 }];
+pub(crate) static FOLDERS: &[Folder] = &[
+    Folder {
+        format: Format::Zarr,
+        detect: zarr::detect,
+        open: zarr::open_folder,
+    },
+    Folder {
+        format: Format::N5,
+        detect: zarr::detect_n5,
+        open: zarr::open_n5_folder,
+    },
+];
 
 /// Refuses choices that the format does not offer.
 pub(crate) fn check_choices(
