@@ -10,9 +10,7 @@ use crate::parsed::Context;
 use crate::registry::{READERS, formats};
 
 /// Formats that are recognised in order to be refused by name: (offset, magic, name).
-const OTHER_FORMATS: [(usize, &[u8], &str); 25] = [
-    // Before TIFF: the preamble of a DICOM file may hold a TIFF header.
-    (128, b"DICM", "DICOM"),
+const OTHER_FORMATS: [(usize, &[u8], &str); 24] = [
     (0, b"II*\0", "TIFF"),
     (0, b"MM\0*", "TIFF"),
     (0, b"II+\0", "BigTIFF"),

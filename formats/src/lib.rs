@@ -43,6 +43,8 @@ mod crop;
 
 mod detect;
 
+mod dicom;
+
 mod error;
 
 mod forward;

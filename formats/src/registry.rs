@@ -13,7 +13,7 @@ use crate::input::Input;
 use crate::options::OpenOptions;
 use crate::parsed::{Context, Parsed};
 use crate::volume::Volume;
-use crate::{nifti, npy, raw, vol};
+use crate::{dicom, nifti, npy, raw, vol};
 
 /// What there is to know about a format before a file is opened.
 #[derive(Clone, Copy, Debug)]
@@ -138,6 +138,20 @@ static FORMATS: &[FormatInfo] = &[
         choices: NONE,
         missing_feature: None,
     },
+    FormatInfo {
+        format: Format::Dicom,
+        names: &["dicom", "dcm"],
+        title: "DICOM",
+        extensions: "folder, .dcm",
+        variants: "series in a folder, multi-frame file; plain, deflate, RLE, JPEG, JPEG-LS, JPEG 2000",
+        forward: false,
+        choices: Choices {
+            frame: true,
+            dataset: true,
+            ..NONE
+        },
+        missing_feature: None,
+    },
 ];
 
 /// How the voxels of a file are found.
@@ -189,6 +203,11 @@ pub(crate) static READERS: &[Entry] = &[
         reader: Reader::Header(vol::parse),
     },
     Entry {
+        format: Format::Dicom,
+        detect: dicom::detect,
+        reader: Reader::Bytes(dicom::open_file),
+    },
+    Entry {
         format: Format::Raw,
         detect: |_| false,
         reader: Reader::Header(raw::parse),
@@ -204,7 +223,11 @@ pub(crate) struct Folder {
 }
 
 /// Readers of folders. The first that recognises the folder is taken.
-pub(crate) static FOLDERS: &[Folder] = &[];
+pub(crate) static FOLDERS: &[Folder] = &[Folder {
+    format: Format::Dicom,
+    detect: dicom::detect_folder,
+    open: dicom::open_folder,
+}];
 
 /// Refuses choices that the format does not offer.
 pub(crate) fn check_choices(
