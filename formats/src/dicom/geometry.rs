@@ -248,12 +248,32 @@ fn by_position(
         ));
     }
     geometry.origin = at(0);
-    Ok(rounded(step))
+    let unit = last_digit(at(0)).min(last_digit(at(last)));
+    Ok(decimal(step, unit, last as f64))
 }
 
-/// The number to nine digits: sums of decimal numbers are then decimal numbers again.
-fn rounded(value: f64) -> f64 {
-    format!("{value:.8e}").parse().unwrap_or(value)
+/// The shortest decimal number that `step` may stand for, positions being decimal numbers with
+/// `unit` as their last digit: 1.5 and not 1.4999999.
+fn decimal(step: f64, unit: f64, steps: f64) -> f64 {
+    /// Rounding of sums, and the most that positions with few digits may change.
+    const LEAST: f64 = 1e-9;
+    const MOST: f64 = 1e-5;
+    // Each coordinate of the first and the last position is off by up to half a unit.
+    let uncertain = unit * 3.0_f64.sqrt() / steps;
+    let allowed = uncertain.clamp(LEAST * step, MOST * step);
+    (0..9)
+        .filter_map(|digits| format!("{step:.digits$e}").parse().ok())
+        .find(|number: &f64| (number - step).abs() <= allowed)
+        .unwrap_or(step)
+}
+
+/// The last digit of coordinates, as text writes them.
+fn last_digit(position: Vector) -> f64 {
+    let digits = position
+        .iter()
+        .map(|n| n.to_string().split_once('.').map_or(0, |(_, d)| d.len()))
+        .max();
+    0.1_f64.powi(digits.unwrap_or(0).min(15) as i32)
 }
 
 /// The distance of planes that have numbers only.

@@ -36,15 +36,16 @@ pub(in crate::dicom) fn decode(
     if samples.len() < extents.samples() {
         return Err(super::ends_early(samples.len(), extents.samples()));
     }
-    let (least, most) = if size.signed {
-        let half = f32::from(1_u16 << (size.precision - 1));
-        (-half, half - 1.0)
+    // The crate moves signed samples up as if they were unsigned.
+    let down = if size.signed {
+        1_i32 << (size.precision - 1)
     } else {
-        (0.0, f32::from(u16::MAX >> (16 - size.precision)))
+        0
     };
+    let most = f32::from(u16::MAX >> (16 - size.precision));
     reserve(out, extents.samples())?;
     let samples = samples.iter().take(extents.samples());
-    out.extend(samples.map(|&value| value.round().clamp(least, most) as i32 as u16));
+    out.extend(samples.map(|&value| (value.round().clamp(0.0, most) as i32 - down) as u16));
     Ok(if size.signed { 16 } else { size.precision })
 }
 
