@@ -148,7 +148,8 @@ fn files_without_preamble_and_files_beside_the_series_do_no_harm() {
     folder.write("empty", b"");
     folder.write("DICOMDIR", &Slice::new(70).file());
     let mut report = Slice::new(9);
-    folder.write("report", &report.without(0x7fe0_0010).file());
+    report.without(0x7fe0_0010).text(0x0020_000e, b"UI", "7.7");
+    folder.write("report", &report.file());
     let (header, _, warnings) = read_path(&folder.path("")).unwrap();
     assert_eq!(header.dims, [3, 2, 3]);
     assert!(
@@ -375,6 +376,12 @@ fn a_damaged_slice_is_named() {
         message.contains("IM8") && message.contains("11 bytes found, 12 expected"),
         "{message}"
     );
+    folder.write("IM8", &file[..file.len() - 24]);
+    let message = error_of(&folder);
+    assert!(
+        message.contains("IM8") && message.contains("no pixels"),
+        "{message}"
+    );
     folder.write("IM8", &file[..300]);
     assert!(error_of(&folder).contains("IM8"));
 }
@@ -417,7 +424,6 @@ fn the_shared_series_are_read_right() {
             entry["canonical_sha256"].as_str().unwrap(),
             "{path:?}"
         );
-        conformance::check(|| open(&path, &OpenOptions::default())).unwrap();
         count += 1;
     }
     assert_eq!(count, 5);

@@ -118,9 +118,13 @@ pub(super) enum Until {
 pub(super) fn next(stream: &mut Stream, encoding: Encoding) -> Result<Option<Element>, Error> {
     let at = stream.position();
     let mut head = [0; 8];
-    if stream.read(&mut head)? < head.len() {
-        // Fewer bytes than an element are padding, or a cut that a missing element tells.
+    let found = stream.read(&mut head)?;
+    if head[..found].iter().all(|&byte| byte == 0) && found < head.len() {
+        // The end, or padding before it.
         return Ok(None);
+    }
+    if found < head.len() {
+        return Err(Error::invalid(stream.name(), "the file ends within an element").at(at));
     }
     let [a, b, c, d, e, f, g, h] = head;
     let tag = (u32::from(encoding.u16([a, b])) << 16) | u32::from(encoding.u16([c, d]));

@@ -131,8 +131,8 @@ pub(super) struct Image {
 /// What a file turned out to be.
 pub(super) enum Found {
     Image(Box<Image>),
-    /// A DICOM file without pixels: a report, a plan, an index.
-    NoPixels,
+    /// A DICOM file without pixels (a report, a plan, an index) and the series it is of.
+    NoPixels(String),
     NotDicom,
 }
 
@@ -211,7 +211,7 @@ pub(super) fn read(place: Place, bytes: FileBytes, words: &mut Words) -> Result<
     } else {
         let mut head = [0; 8];
         if stream.read(&mut head)? < head.len() {
-            return Ok(Found::NoPixels);
+            return Ok(Found::NoPixels(String::new()));
         }
         stream = Stream::plain(bytes.clone(), at);
         Encoding::of_first(&head)
@@ -404,7 +404,7 @@ impl<'a> Draft<'a> {
         deflated_at: Option<u64>,
     ) -> Result<Found, Error> {
         let Some((mut pixels, pixel_tag)) = self.pixels else {
-            return Ok(Found::NoPixels);
+            return Ok(Found::NoPixels(self.text(0x0020_000e)));
         };
         pixels.deflated_at = deflated_at;
         let name = place.name();

@@ -133,7 +133,7 @@ pub(crate) fn open_folder(folder: &Path, options: &OpenOptions) -> Result<Volume
         files.extend(list(&inner).map_err(cannot_list)?.files);
     }
     let mut scan = Scan::default();
-    let (mut other, mut without_pixels) = (0_usize, 0_usize);
+    let mut other = 0_usize;
     for path in &files {
         if path.file_name().is_some_and(|name| name == "DICOMDIR") {
             continue;
@@ -141,7 +141,7 @@ pub(crate) fn open_folder(folder: &Path, options: &OpenOptions) -> Result<Volume
         let (place, bytes) = Place::of_file(path)?;
         match image::read(place, bytes, &mut scan.words)? {
             Found::Image(image) => scan.images.push(*image),
-            Found::NoPixels => without_pixels += 1,
+            Found::NoPixels(series) => scan.without_pixels.push((series, path.clone())),
             Found::NotDicom => other += 1,
         }
     }
@@ -151,9 +151,10 @@ pub(crate) fn open_folder(folder: &Path, options: &OpenOptions) -> Result<Volume
             "{name}: {other} files that are not DICOM were left out"
         ));
     }
-    if without_pixels > 0 {
+    if !scan.without_pixels.is_empty() {
         notes.push(format!(
-            "{name}: {without_pixels} DICOM files without pixels were left out"
+            "{name}: {} DICOM files without pixels were left out",
+            scan.without_pixels.len()
         ));
     }
     let source = SourceInfo {
@@ -170,7 +171,7 @@ pub(crate) fn open_file(bytes: FileBytes, context: &Context<'_>) -> Result<Volum
     let source = bytes.source();
     match image::read(Place::Bytes(bytes.clone()), bytes, &mut scan.words)? {
         Found::Image(image) => scan.images.push(*image),
-        Found::NoPixels => {
+        Found::NoPixels(_) => {
             return Err(Error::unsupported(
                 context.name,
                 "this DICOM file has no pixels (a report, a plan, an index)",
@@ -186,6 +187,8 @@ pub(crate) fn open_file(bytes: FileBytes, context: &Context<'_>) -> Result<Volum
 struct Scan {
     images: Vec<Image>,
     words: Words,
+    /// Files without, and their series.
+    without_pixels: Vec<(String, PathBuf)>,
 }
 
 impl Scan {
@@ -197,7 +200,11 @@ impl Scan {
         notes: Vec<String>,
         mut source: SourceInfo,
     ) -> Result<Volume, Error> {
-        let Self { images, words } = self;
+        let Self {
+            images,
+            words,
+            without_pixels,
+        } = self;
         if images.is_empty() {
             return Err(Error::unsupported(name, "holds no DICOM image"));
         }
@@ -212,6 +219,14 @@ impl Scan {
                      its series",
                     plane.name(&images)
                 ),
+            ));
+        }
+        let series = &images[0].series_uid;
+        if let Some((_, path)) = without_pixels.iter().find(|(of, _)| of == series) {
+            return Err(Error::invalid(
+                path.display().to_string(),
+                "is of the series, but has no pixels: the file was cut, or it is no image and \
+                 does not belong here",
             ));
         }
         for image in &images {
