@@ -13,7 +13,7 @@ use crate::input::Input;
 use crate::options::OpenOptions;
 use crate::parsed::{Context, Parsed};
 use crate::volume::Volume;
-use crate::{dicom, nifti, npy, raw, vol};
+use crate::{dicom, metaimage, mgh, mrc, nifti, npy, npz, nrrd, raw, vol, vtk};
 
 /// What there is to know about a format before a file is opened.
 #[derive(Clone, Copy, Debug)]
@@ -63,6 +63,11 @@ const FRAME: Choices = Choices {
     ..NONE
 };
 
+const DATASET: Choices = Choices {
+    dataset: true,
+    ..NONE
+};
+
 /// All formats, in the order of the table that is printed.
 pub fn formats() -> &'static [FormatInfo] {
     FORMATS
@@ -109,6 +114,66 @@ static FORMATS: &[FormatInfo] = &[
         missing_feature: None,
     },
     FormatInfo {
+        format: Format::Analyze,
+        names: &["analyze"],
+        title: "Analyze 7.5",
+        extensions: ".hdr/.img",
+        variants: "pair, either byte order; SPM's factor and types",
+        forward: true,
+        choices: FRAME,
+        missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::Nrrd,
+        names: &["nrrd", "nhdr"],
+        title: "NRRD",
+        extensions: ".nrrd .nhdr",
+        variants: "attached, detached, lists and patterns of files; raw, text, hex, gzip, bzip2, zstd",
+        forward: true,
+        choices: FRAME,
+        missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::Mgh,
+        names: &["mgh", "mgz"],
+        title: "FreeSurfer MGH",
+        extensions: ".mgh .mgz",
+        variants: "version 1; u8, i16, u16, i32, f32; frames",
+        forward: true,
+        choices: FRAME,
+        missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::MetaImage,
+        names: &["metaimage", "mha", "mhd"],
+        title: "MetaImage",
+        extensions: ".mha .mhd",
+        variants: "attached, detached, lists and patterns of files; binary, text, zlib",
+        forward: true,
+        choices: FRAME,
+        missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::Mrc,
+        names: &["mrc", "ccp4", "map"],
+        title: "MRC/CCP4",
+        extensions: ".mrc .map .ccp4 .rec .st",
+        variants: "modes 0, 1, 2, 6, 12, either byte order, any order of axes; volume stacks",
+        forward: true,
+        choices: FRAME,
+        missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::Vtk,
+        names: &["vtk"],
+        title: "VTK legacy",
+        extensions: ".vtk",
+        variants: "structured points, binary and ASCII, point and cell data, scalars and fields",
+        forward: true,
+        choices: DATASET,
+        missing_feature: None,
+    },
+    FormatInfo {
         format: Format::Npy,
         names: &["npy"],
         title: "NumPy array",
@@ -116,6 +181,16 @@ static FORMATS: &[FormatInfo] = &[
         variants: "format 1 to 3, C and Fortran order, either byte order",
         forward: true,
         choices: NONE,
+        missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::Npz,
+        names: &["npz"],
+        title: "NumPy archive",
+        extensions: ".npz",
+        variants: "stored and deflated members",
+        forward: false,
+        choices: DATASET,
         missing_feature: None,
     },
     FormatInfo {
@@ -177,10 +252,26 @@ pub(crate) struct Entry {
 
 /// Readers of files. The first that recognises the content is taken.
 pub(crate) static READERS: &[Entry] = &[
+    // Before others: a DICOM file may begin with the header of another format, TIFF mostly.
+    Entry {
+        format: Format::Dicom,
+        detect: dicom::detect,
+        reader: Reader::Bytes(dicom::open_file),
+    },
     Entry {
         format: Format::Npy,
         detect: |head| head.starts_with(npy::MAGIC),
         reader: Reader::Header(npy::parse),
+    },
+    Entry {
+        format: Format::Npz,
+        detect: npz::detect,
+        reader: Reader::Bytes(npz::open),
+    },
+    Entry {
+        format: Format::Analyze,
+        detect: |head| nifti::detect(head) == Some(Format::Analyze),
+        reader: Reader::Header(nifti::parse),
     },
     Entry {
         format: Format::Nifti1,
@@ -193,6 +284,16 @@ pub(crate) static READERS: &[Entry] = &[
         reader: Reader::Header(nifti::parse),
     },
     Entry {
+        format: Format::Nrrd,
+        detect: |head| head.starts_with(nrrd::MAGIC),
+        reader: Reader::Header(nrrd::parse),
+    },
+    Entry {
+        format: Format::MetaImage,
+        detect: metaimage::detect,
+        reader: Reader::Header(metaimage::parse),
+    },
+    Entry {
         format: Format::Vol,
         detect: |head| vol::detect(head) == Some(Format::Vol),
         reader: Reader::Header(vol::parse),
@@ -203,9 +304,19 @@ pub(crate) static READERS: &[Entry] = &[
         reader: Reader::Header(vol::parse),
     },
     Entry {
-        format: Format::Dicom,
-        detect: dicom::detect,
-        reader: Reader::Bytes(dicom::open_file),
+        format: Format::Vtk,
+        detect: vtk::detect,
+        reader: Reader::Header(vtk::parse),
+    },
+    Entry {
+        format: Format::Mrc,
+        detect: mrc::detect,
+        reader: Reader::Header(mrc::parse),
+    },
+    Entry {
+        format: Format::Mgh,
+        detect: mgh::detect,
+        reader: Reader::Header(mgh::parse),
     },
     Entry {
         format: Format::Raw,
