@@ -50,6 +50,8 @@ mod crop;
 
 mod detect;
 
+mod dicom;
+
 mod error;
 
 mod forward;
