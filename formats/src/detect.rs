@@ -6,8 +6,8 @@
 use crate::error::Error;
 use crate::header::Format;
 use crate::input::{Compression, Input, read_error};
-use crate::open::Context;
-use crate::{nifti, npy, vol};
+use crate::parsed::Context;
+use crate::registry::{READERS, formats};
 
 /// Formats that are recognised in order to be refused by name: (offset, magic, name).
 const OTHER_FORMATS: [(usize, &[u8], &str); 25] = [
@@ -41,10 +41,10 @@ const OTHER_FORMATS: [(usize, &[u8], &str); 25] = [
 
 /// The format of volumes that content begins like.
 fn volume(head: &[u8]) -> Option<Format> {
-    if head.starts_with(npy::MAGIC) {
-        return Some(Format::Npy);
-    }
-    nifti::detect(head).or_else(|| vol::detect(head))
+    READERS
+        .iter()
+        .find(|entry| (entry.detect)(head))
+        .map(|entry| entry.format)
 }
 
 /// The name of the format that is not read, by magic numbers of at least some bytes.
@@ -83,13 +83,15 @@ pub(crate) fn detect(input: &mut Input, context: &Context<'_>) -> Result<Format,
     if Compression::detect(head).is_some() {
         return Err(Error::unsupported(context.name, "is compressed twice"));
     }
+    let titles: Vec<_> = formats().iter().skip(1).map(|info| info.title).collect();
     let shown: Vec<_> = head.iter().take(8).map(|b| format!("{b:02x}")).collect();
     Err(Error::unsupported(
         context.name,
         format!(
-            "the format is not recognised (first bytes {}); expected .npy, .vol, .longvol or \
-             NIfTI, or give dimensions and type of a file without header",
-            shown.join(" ")
+            "the format is not recognised (first bytes {}); expected {}, or give dimensions and \
+             type of a file without header",
+            shown.join(" "),
+            titles.join(", ")
         ),
     ))
 }

@@ -9,7 +9,10 @@
 use std::fmt;
 use std::str::FromStr;
 
-/// The file formats this crate tells apart.
+use crate::error::Error;
+
+/// The file formats this crate tells apart. Their names and what is read of them are in
+/// [`formats`](crate::formats).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Format {
@@ -17,6 +20,8 @@ pub enum Format {
     Raw,
     /// NumPy `.npy`, format 1.0, 2.0 or 3.0.
     Npy,
+    /// NumPy `.npz`: a zip archive of `.npy` members.
+    Npz,
     /// DGtal `.vol`: one byte a voxel.
     Vol,
     /// DGtal `.longvol`: eight (or four) bytes a voxel.
@@ -25,19 +30,40 @@ pub enum Format {
     Nifti1,
     /// NIfTI-2, single file or pair.
     Nifti2,
+    /// Analyze 7.5, a pair.
+    Analyze,
+    /// NRRD, attached or detached.
+    Nrrd,
+    /// MetaImage, attached or detached.
+    MetaImage,
+    /// MRC2014, CCP4.
+    Mrc,
+    /// FreeSurfer MGH.
+    Mgh,
+    /// Legacy VTK, structured points.
+    Vtk,
+    /// TIFF, BigTIFF, ImageJ stack, OME-TIFF.
+    Tiff,
+    /// A folder or a set of slices, one image a plane.
+    Slices,
+    /// DICOM, a folder or a multi-frame file.
+    Dicom,
+    /// Zarr 2 and 3, OME-Zarr.
+    Zarr,
+    /// N5.
+    N5,
+    /// HDF5.
+    Hdf5,
+    /// OpenVDB.
+    Vdb,
+    /// OpenVDB, read by the crate `vdb-rs`.
+    VdbRs,
 }
 
 impl Format {
     /// Short name, as typed on a command line.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Raw => "raw",
-            Self::Npy => "npy",
-            Self::Vol => "vol",
-            Self::Longvol => "longvol",
-            Self::Nifti1 => "nifti1",
-            Self::Nifti2 => "nifti2",
-        }
+        crate::registry::info(self).names[0]
     }
 }
 
@@ -68,20 +94,12 @@ impl FromStr for Format {
     type Err = ParseError;
 
     fn from_str(s: &str) -> Result<Self, ParseError> {
-        Ok(match s.to_ascii_lowercase().as_str() {
-            "raw" => Self::Raw,
-            "npy" => Self::Npy,
-            "vol" => Self::Vol,
-            "longvol" => Self::Longvol,
-            "nii" | "nifti" | "nifti1" => Self::Nifti1,
-            "nifti2" => Self::Nifti2,
-            _ => {
-                return Err(ParseError::new(
-                    s,
-                    "a format: raw, npy, vol, longvol, nifti1 or nifti2",
-                ));
-            }
-        })
+        let wanted = s.to_ascii_lowercase();
+        crate::registry::formats()
+            .iter()
+            .find(|info| info.names.contains(&wanted.as_str()))
+            .map(|info| info.format)
+            .ok_or_else(|| ParseError::new(s, "a format; `curvox formats` lists them"))
     }
 }
 
@@ -349,6 +367,41 @@ impl Region {
         }
     }
 
+    /// An error unless the region is inside a volume of the given extents.
+    pub(crate) fn check_inside(&self, dims: [u64; 3], name: &str) -> Result<(), Error> {
+        if self.is_inside(dims) {
+            return Ok(());
+        }
+        Err(Error::invalid(
+            name,
+            format!(
+                "a box of {:?} voxels at {:?} was asked for, the volume has {dims:?}",
+                self.size, self.origin
+            ),
+        ))
+    }
+
+    /// Gives `out` the size of the region's voxels, whatever its bytes are.
+    pub(crate) fn make_room(
+        &self,
+        voxel_bytes: usize,
+        out: &mut Vec<u8>,
+        name: &str,
+    ) -> Result<(), Error> {
+        let too_large = || Error::unsupported(name, "the box does not fit memory");
+        let bytes = self
+            .voxels()
+            .and_then(|n| n.checked_mul(voxel_bytes as u64))
+            .and_then(|n| usize::try_from(n).ok())
+            .ok_or_else(too_large)?;
+        // Not cleared first: a buffer of the same size is then not written twice.
+        out.truncate(bytes);
+        out.try_reserve_exact(bytes - out.len())
+            .map_err(|_| too_large())?;
+        out.resize(bytes, 0);
+        Ok(())
+    }
+
     /// Number of voxels; `None` when it does not fit `u64`.
     pub fn voxels(&self) -> Option<u64> {
         voxel_count(self.size)
@@ -374,6 +427,33 @@ pub struct Scaling {
     pub intercept: f64,
 }
 
+/// What the values of a volume mean, where the file says so.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
+#[non_exhaustive]
+pub enum Content {
+    /// Values of an image; what is inside is the caller's choice.
+    #[default]
+    Image,
+    /// Distances to a surface, negative inside.
+    LevelSet,
+    /// Densities, higher inside.
+    Fog,
+    /// True or not zero inside.
+    Mask,
+}
+
+impl Content {
+    /// In words.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Image => "image",
+            Self::LevelSet => "level set",
+            Self::Fog => "fog volume",
+            Self::Mask => "mask",
+        }
+    }
+}
+
 /// What a file says about its volume.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Header {
@@ -397,6 +477,13 @@ pub struct Header {
     pub direction: [[f64; 3]; 3],
     /// How stored values become values; `None` when they are the values.
     pub scaling: Option<Scaling>,
+    /// What the values mean.
+    pub content: Content,
+    /// Index of voxel (0, 0, 0) in the file's own index space: not zero for a cut-out region, or
+    /// where the space has no natural corner (OpenVDB).
+    pub first_index: [i64; 3],
+    /// Further facts for print, as (name, value): compression, chunks, the chosen dataset.
+    pub details: Vec<(&'static str, String)>,
     /// What a user should be told: trailing bytes, a spacing that was ignored, and the like.
     pub warnings: Vec<String>,
 }
@@ -417,6 +504,9 @@ impl Header {
             origin: [0.0; 3],
             direction: IDENTITY,
             scaling: None,
+            content: Content::Image,
+            first_index: [0; 3],
+            details: Vec::new(),
             warnings: Vec::new(),
         }
     }

@@ -399,3 +399,27 @@ pub(crate) fn read_error(name: &str, offset: u64, error: io::Error) -> Error {
     }
     Error::invalid(name, format!("the compressed data is damaged: {error}")).at(offset)
 }
+
+/// Undoes one compression, if there is one.
+pub(crate) fn decompress(
+    mut input: Input,
+    name: &str,
+) -> Result<(Input, Option<Compression>), Error> {
+    let failed = |e| read_error(name, 0, e);
+    let head = input.peek(Compression::MAGIC_BYTES).map_err(failed)?;
+    if head.is_empty() {
+        return Err(Error::invalid(name, "is empty: 0 bytes"));
+    }
+    let Some(compression) = Compression::detect(head) else {
+        return Ok((input, None));
+    };
+    let mut input = input.decompressed(compression).map_err(failed)?;
+    let head = input.peek(Compression::MAGIC_BYTES).map_err(failed)?;
+    if head.is_empty() {
+        return Err(Error::invalid(
+            name,
+            format!("the {} data is empty", compression.name()),
+        ));
+    }
+    Ok((input, Some(compression)))
+}

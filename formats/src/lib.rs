@@ -19,11 +19,11 @@
 //! # Ok::<(), curvox_formats::Error>(())
 //! ```
 //!
-//! The rooms, in the order of the data: `input` (bytes forward, decompressed), `map` (bytes
-//! mapped), one file a format (`npy`, `vol`, `nifti`), `detect` (which of
-//! them), `open` (how it is read),
-//! `stream` and `stored` (planes and boxes), [`mesh`] (polygons), [`mod@write`] (small outputs), [`conformance`] (what
-//! every reader must do).
+//! The rooms, in the order of the data: `input` (bytes forward, decompressed), `map` and `bytes`
+//! (bytes anywhere), one file or folder a format, `registry` and `detect` (which of them), `open`
+//! (who gets what), `parsed` (what a header says), `forward`, `stream`, `stored` and `chunked`
+//! (planes and boxes), `crop` (a part of them), [`mesh`] (polygons), [`mod@write`] (small
+//! outputs), [`conformance`] (what every reader must do).
 //!
 //! Guaranteed: the format is recognised by content, never by name; sizes from a file are checked
 //! before use; a damaged file is an error that names the place, not a panic or a huge
@@ -35,9 +35,17 @@
 
 pub mod conformance;
 
+mod bytes;
+
+mod chunked;
+
+mod crop;
+
 mod detect;
 
 mod error;
+
+mod forward;
 
 mod header;
 
@@ -53,6 +61,14 @@ mod npy;
 
 mod open;
 
+mod options;
+
+mod parsed;
+
+mod raw;
+
+mod registry;
+
 mod stored;
 
 mod stream;
@@ -64,6 +80,10 @@ mod volume;
 pub mod write;
 
 pub use error::{Error, ErrorKind};
-pub use header::{ByteOrder, DType, Format, Header, ParseError, Region, Scaling, Unit, VoxelType};
-pub use open::{IoMode, OpenOptions, RawLayout, open, open_stream};
+pub use header::{
+    ByteOrder, Content, DType, Format, Header, ParseError, Region, Scaling, Unit, VoxelType,
+};
+pub use open::{open, open_stream};
+pub use options::{IoMode, OpenOptions, RawLayout};
+pub use registry::{Choices, FormatInfo, formats};
 pub use volume::{ForwardVoxels, RandomVoxels, SourceInfo, Volume, Voxels};

@@ -43,8 +43,13 @@ impl Fingerprint {
     }
 
     /// An error if the file is no longer what it was when the fingerprint was taken.
-    pub(crate) fn check(&self, file: &File, path: &Path) -> Result<(), Error> {
-        let name = || path.display().to_string();
+    /// Without a path, nobody can have replaced the file.
+    pub(crate) fn check(&self, file: &File, path: Option<&Path>) -> Result<(), Error> {
+        let name = || {
+            path.map_or("copied input".to_string(), |path| {
+                path.display().to_string()
+            })
+        };
         let metadata = file
             .metadata()
             .map_err(|e| Error::io(name(), "cannot be examined again", e))?;
@@ -71,7 +76,8 @@ impl Fingerprint {
             ));
         }
         // A path that is gone is no reason to stop: the open file is still whole.
-        if let Ok(metadata) = std::fs::metadata(path)
+        if let Some(path) = path
+            && let Ok(metadata) = std::fs::metadata(path)
             && Self::of(&metadata).identity != self.identity
         {
             return Err(Error::invalid(
@@ -124,7 +130,7 @@ impl GuardedMap {
 
     /// An error if the file changed since it was mapped, or if a page of it was missing.
     pub(crate) fn check(&self) -> Result<(), Error> {
-        self.fingerprint.check(&self.file, &self.path)?;
+        self.fingerprint.check(&self.file, Some(&self.path))?;
         if self.guard.was_hit() {
             return Err(Error::invalid(
                 self.path.display().to_string(),

@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 use crate::error::Error;
 use crate::header::{ByteOrder, DType, Format, Header, IDENTITY, Scaling, Unit, VoxelType};
 use crate::input::Input;
-use crate::open::{Context, Parsed, is_plausible_spacing};
+use crate::parsed::{Context, Elsewhere, Parsed, is_plausible_spacing};
 
 const SIZE_1: usize = 348;
 const SIZE_2: usize = 540;
@@ -285,14 +285,14 @@ pub(crate) fn parse(input: &mut Input, context: &Context<'_>) -> Result<Parsed, 
     parsed.frames_behind = frames - 1 - frame;
     if pair {
         let path = context.path.unwrap_or(Path::new(""));
-        parsed.elsewhere = siblings(path, "hdr", "img").unwrap_or_default();
-        if parsed.elsewhere.is_empty() {
+        let Some(images) = siblings(path, "hdr", "img") else {
             return Err(Error::unsupported(
                 name,
                 "the header of a pair, whose voxels are in a file of the same name ending in \
                  .img; this is not the path of a file ending in .hdr, so they cannot be found",
             ));
-        }
+        };
+        parsed.elsewhere = Elsewhere::FirstOf(images);
     }
     Ok(parsed)
 }

@@ -10,7 +10,7 @@ use crate::error::Error;
 use crate::header::{ByteOrder, DType, Format, Header};
 use crate::input::Input;
 use crate::npy::literal::Literal;
-use crate::open::{Context, Parsed, voxel_type};
+use crate::parsed::{Context, Parsed, voxel_type};
 use crate::stored::AxisOrder;
 
 mod literal;

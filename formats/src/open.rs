@@ -1,199 +1,41 @@
-//! Which format a file has, and how its voxels will be read.
+//! Opening a volume: which reader gets what.
 //!
 //! In: a path or a stream, and [`OpenOptions`]. Out: a [`Volume`]. The content decides on format
 //! and compression; a name only adds a warning. Uncompressed local files are mapped, files on
 //! network file systems are read, everything else runs forward. What a format stores in an order
-//! that cannot run forward is held in memory, up to a limit.
-//!
-//! A format module gives a [`Parsed`] header: what the volume is and where its voxels start. To
-//! add a format, recognise it in `detect` and parse it here; chunked formats implement
-//! [`RandomVoxels`](crate::RandomVoxels) themselves.
+//! that cannot run forward is copied to memory, up to a limit, or to disk.
 
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
+use crate::bytes::FileBytes;
+use crate::crop::crop;
 use crate::detect::detect;
 use crate::error::Error;
-use crate::header::{DType, Format, Header, Unit, VoxelType, voxel_count};
-use crate::input::{Compression, DEFLATE_MOST, Input, read_error};
-use crate::map::{Fingerprint, GuardedMap};
-use crate::stored::{AxisOrder, Bytes, StoredVoxels};
-use crate::stream::{StreamVoxels, ends_early, look_behind, trailing};
+use crate::forward::{copy, forward};
+use crate::header::{Format, voxel_count};
+use crate::input::{Compression, DEFLATE_MOST, Input, decompress, read_error};
+use crate::options::OpenOptions;
+use crate::parsed::{Context, Elsewhere, Encoding, Parsed, Start, check_extents};
+use crate::registry::{self, Entry, FOLDERS, READERS, Reader};
+use crate::stored::StoredVoxels;
+use crate::stream::{ends_early, trailing};
 use crate::volume::{SourceInfo, Volume, Voxels};
-use crate::{nifti, npy, vol};
+use crate::{nifti, raw, vol};
 
-/// How the bytes of an uncompressed file are reached.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
-pub enum IoMode {
-    /// Mapped on local file systems, read on network file systems.
-    #[default]
-    Auto,
-    /// Mapped.
-    Map,
-    /// Read at offsets. Slower, but a failing network is an error instead of a stall.
-    Read,
-}
-
-/// The layout of a file without a header. Voxels are stored x fastest.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RawLayout {
-    /// Voxels along x, y, z.
-    pub dims: [u64; 3],
-    /// Their type and byte order.
-    pub dtype: DType,
-    /// Edge lengths of a voxel in `unit`, if known.
-    pub spacing: Option<[f64; 3]>,
-    /// Unit of `spacing`.
-    pub unit: Unit,
-    /// Bytes before the first voxel.
-    pub skip: u64,
-}
-
-/// How to open a volume.
-#[derive(Clone, Debug)]
-pub struct OpenOptions {
-    /// The format; `None` to recognise it.
-    pub format: Option<Format>,
-    /// The layout of a file without a header. When given, the file is taken as such.
-    pub raw: Option<RawLayout>,
-    /// How uncompressed files are read.
-    pub io: IoMode,
-    /// Which volume of a file with several, from 0.
-    pub frame: Option<u64>,
-    /// The most bytes held in memory for inputs that cannot run forward, for instance an array
-    /// in Fortran order from a pipe.
-    pub spool_limit_bytes: u64,
-}
-
-impl Default for OpenOptions {
-    fn default() -> Self {
-        Self {
-            format: None,
-            raw: None,
-            io: IoMode::Auto,
-            frame: None,
-            spool_limit_bytes: 256 << 20,
-        }
-    }
-}
-
-/// What a format module found out.
-pub(crate) struct Parsed {
-    pub(crate) header: Header,
-    /// Offset of the first voxel in the (decompressed) file that holds the voxels.
-    pub(crate) offset: u64,
-    pub(crate) order: AxisOrder,
-    /// The voxels are zlib data.
-    pub(crate) zlib: bool,
-    /// The voxels are in the first of these files that exists; empty for the same file.
-    pub(crate) elsewhere: Vec<PathBuf>,
-    /// The header says four bytes a voxel, but eight are as likely (see `vol`).
-    pub(crate) maybe_eight_bytes: bool,
-    /// How many volumes of the same size follow the one to be read.
-    pub(crate) frames_behind: u64,
-}
-
-impl Parsed {
-    pub(crate) fn new(header: Header, offset: u64) -> Self {
-        Self {
-            header,
-            offset,
-            order: AxisOrder::XFastest,
-            zlib: false,
-            elsewhere: Vec::new(),
-            maybe_eight_bytes: false,
-            frames_behind: 0,
-        }
-    }
-}
-
-/// What a format module is told.
-pub(crate) struct Context<'a> {
-    pub(crate) name: &'a str,
-    pub(crate) path: Option<&'a Path>,
-    pub(crate) options: &'a OpenOptions,
-    /// Bytes of the file, where it is uncompressed and its length known.
-    pub(crate) length: Option<u64>,
-}
-
-impl Context<'_> {
-    /// The next `count` bytes of a header, or an error that says how many there were.
-    pub(crate) fn header_bytes(&self, input: &mut Input, count: usize) -> Result<Vec<u8>, Error> {
-        let start = input.position();
-        let mut bytes = Vec::new();
-        input
-            .append(count as u64, &mut bytes)
-            .map_err(|e| self.read_error(input, e))?;
-        if bytes.len() < count {
-            return Err(Error::invalid(
-                self.name,
-                format!(
-                    "the header ends early: {} bytes found, {count} expected",
-                    bytes.len()
-                ),
-            )
-            .at(start));
-        }
-        Ok(bytes)
-    }
-
-    /// The error a failed read of the header is.
-    pub(crate) fn read_error(&self, input: &Input, error: std::io::Error) -> Error {
-        read_error(self.name, input.position(), error)
-    }
-}
-
-/// Opens the volume in the file at `path`.
+/// Opens the volume at `path`: a file, or a folder of a format that uses folders.
 ///
 /// # Errors
 ///
-/// If the file cannot be read, is not of a known format, contradicts itself, is too short for
-/// what it claims, or needs a choice ([`OpenOptions::frame`]).
+/// If it cannot be read, is not of a known format, contradicts itself, is too short for what it
+/// claims, or needs a choice ([`OpenOptions::frame`] and the others).
 pub fn open(path: &Path, options: &OpenOptions) -> Result<Volume, Error> {
-    let name = path.display().to_string();
-    let cannot_open = |e| Error::io(&name, "cannot be opened", e);
-    let metadata = std::fs::metadata(path).map_err(cannot_open)?;
-    if metadata.is_dir() {
-        return Err(Error::unsupported(
-            &name,
-            "is a folder; a file was expected",
-        ));
+    let volume = open_whole(path, options)?;
+    match &options.region {
+        None => Ok(volume),
+        Some(region) => crop(volume, region),
     }
-    let file = File::open(path).map_err(cannot_open)?;
-    if !metadata.is_file() {
-        return open_stream(Box::new(file), &name, options);
-    }
-    // Opened by its voxels, a pair is found by its header, unless these are said to be raw.
-    let raw = options.raw.is_some() || options.format == Some(Format::Raw);
-    if !raw && let Some(header) = nifti::header_of_image(path) {
-        return open(&header, options);
-    }
-    let place = Place {
-        name: &name,
-        path,
-        options,
-    };
-    let (mut input, compression, length) = place.begin(&file, raw_bytes(options))?;
-    let plain_length = compression.is_none().then_some(length);
-    let context = Context {
-        name: &name,
-        path: Some(path),
-        options,
-        length: plain_length,
-    };
-    let mut parsed = parse(&mut input, &context)?;
-    check_extents(&parsed.header, &name)?;
-    if compression.is_none() && has_extension(path, &["gz", "zst"]) {
-        parsed
-            .header
-            .warnings
-            .push(format!("{name}: named as compressed, but it is not"));
-    }
-    if !parsed.elsewhere.is_empty() {
-        return place.open_sibling(parsed);
-    }
-    place.finish(parsed, file, input, compression, length)
 }
 
 /// Opens the volume that `reader` gives; `name` stands for it in messages.
@@ -206,6 +48,112 @@ pub fn open_stream(
     name: &str,
     options: &OpenOptions,
 ) -> Result<Volume, Error> {
+    let volume = open_whole_stream(reader, name, options)?;
+    match &options.region {
+        None => Ok(volume),
+        Some(region) => crop(volume, region),
+    }
+}
+
+fn open_whole(path: &Path, options: &OpenOptions) -> Result<Volume, Error> {
+    let name = path.display().to_string();
+    let cannot_open = |e| Error::io(&name, "cannot be opened", e);
+    let metadata = std::fs::metadata(path).map_err(cannot_open)?;
+    if metadata.is_dir() {
+        return open_folder(path, &name, options);
+    }
+    let file = File::open(path).map_err(cannot_open)?;
+    if !metadata.is_file() {
+        return open_whole_stream(Box::new(file), &name, options);
+    }
+    // Opened by its voxels, a pair is found by its header, unless these are said to be raw.
+    let raw = options.raw.is_some() || options.format == Some(Format::Raw);
+    if !raw && let Some(header) = nifti::header_of_image(path) {
+        return open_whole(&header, options);
+    }
+    let place = Place {
+        name: &name,
+        path,
+        options,
+    };
+    let (mut input, compression, length) = place.begin(&file, raw::file_bytes(options))?;
+    let plain_length = compression.is_none().then_some(length);
+    let context = Context {
+        name: &name,
+        path: Some(path),
+        options,
+        length: plain_length,
+    };
+    let misnamed = compression.is_none() && has_extension(path, &["gz", "zst"]);
+    let warning = misnamed.then(|| format!("{name}: named as compressed, but it is not"));
+    let mut volume = match choose(&mut input, &context)?.reader {
+        Reader::Header(parse) => {
+            let parsed = parse(&mut input, &context)?;
+            check_extents(&parsed.header, &name)?;
+            match parsed.elsewhere.clone() {
+                Elsewhere::Here => place.finish(parsed, file, input, compression, length)?,
+                Elsewhere::FirstOf(paths) => place.open_sibling(parsed, &paths)?,
+                Elsewhere::Files(paths) => place.open_files(parsed, &paths)?,
+            }
+        }
+        Reader::Bytes(read) => {
+            let bytes = match compression {
+                None => FileBytes::of_file(file, path, options.io)?,
+                Some(_) => copy(&mut input, None, NEEDS_ALL, &name, options)?,
+            };
+            let (held, spilled) = (bytes.source().held_bytes, bytes.len());
+            let mut volume = read(bytes, &context)?;
+            check_extents(&volume.header, &name)?;
+            if compression.is_some() {
+                note_copy(&mut volume.source, held, spilled);
+                volume.source.path = Some(path.to_path_buf());
+                volume.source.re_readable = true;
+                volume.source.length_bytes = Some(length);
+            }
+            volume
+        }
+        Reader::Missing => return Err(Error::unsupported(&name, "is not read by this build")),
+    };
+    volume.header.warnings.extend(warning);
+    Ok(volume)
+}
+
+const NEEDS_ALL: &str = "this format is not read front to back";
+
+fn open_folder(path: &Path, name: &str, options: &OpenOptions) -> Result<Volume, Error> {
+    let asked = options.format;
+    let folder = FOLDERS.iter().find(|folder| match asked {
+        Some(format) => folder.format == format,
+        None => (folder.detect)(path),
+    });
+    let Some(folder) = folder else {
+        let titles: Vec<_> = FOLDERS
+            .iter()
+            .map(|folder| registry::info(folder.format).title)
+            .collect();
+        return Err(Error::unsupported(
+            name,
+            if titles.is_empty() {
+                "is a folder; a file was expected".to_string()
+            } else {
+                format!(
+                    "is a folder in which no volume was found; expected {}",
+                    titles.join(", ")
+                )
+            },
+        ));
+    };
+    registry::check_choices(folder.format, name, options)?;
+    let volume = (folder.open)(path, options)?;
+    check_extents(&volume.header, name)?;
+    Ok(volume)
+}
+
+fn open_whole_stream(
+    reader: Box<dyn Read + Send>,
+    name: &str,
+    options: &OpenOptions,
+) -> Result<Volume, Error> {
     let input = Input::new(reader);
     let (mut input, compression) = decompress(input, name)?;
     let context = Context {
@@ -214,23 +162,78 @@ pub fn open_stream(
         options,
         length: None,
     };
-    let parsed = parse(&mut input, &context)?;
-    check_extents(&parsed.header, name)?;
-    if !parsed.elsewhere.is_empty() {
-        return Err(Error::unsupported(
-            name,
-            "this header's voxels are in another file (.img); a pair cannot be read from a stream",
-        ));
+    let mut source = SourceInfo::stream(name);
+    source.compressed = compression.is_some();
+    match choose(&mut input, &context)?.reader {
+        Reader::Header(parse) => {
+            let parsed = parse(&mut input, &context)?;
+            check_extents(&parsed.header, name)?;
+            if parsed.elsewhere != Elsewhere::Here {
+                return Err(Error::unsupported(
+                    name,
+                    "this header's voxels are in another file (.img); a pair cannot be read from \
+                     a stream",
+                ));
+            }
+            source.compressed |= parsed.encoding != Encoding::Raw;
+            forward(parsed, input, name, options, source)
+        }
+        Reader::Bytes(read) => {
+            let bytes = copy(&mut input, None, NEEDS_ALL, name, options)?;
+            let (held, spilled) = (bytes.source().held_bytes, bytes.len());
+            let mut volume = read(bytes, &context)?;
+            check_extents(&volume.header, name)?;
+            note_copy(&mut volume.source, held, spilled);
+            volume.source.compressed |= source.compressed;
+            Ok(volume)
+        }
+        Reader::Missing => Err(Error::unsupported(name, "is not read by this build")),
     }
-    let source = SourceInfo {
-        name: name.to_string(),
-        path: None,
-        compressed: compression.is_some() || parsed.zlib,
-        mapped: false,
-        re_readable: false,
-        length_bytes: None,
+}
+
+/// Counts a copy of `bytes` bytes, `held` of them in memory.
+fn note_copy(source: &mut SourceInfo, held: u64, bytes: u64) {
+    source.held_bytes = source.held_bytes.max(held);
+    source.spilled_bytes = bytes - held;
+}
+
+/// The reader of what `input` holds.
+fn choose(input: &mut Input, context: &Context<'_>) -> Result<&'static Entry, Error> {
+    let format = match (context.options.format, &context.options.raw) {
+        (Some(format), _) => format,
+        // A layout given for a file that has its own would read the header as voxels.
+        (None, Some(_)) => match detect(input, context) {
+            Ok(found) => {
+                return Err(Error::unsupported(
+                    context.name,
+                    format!(
+                        "the content is {found}, which says its own dimensions and type: leave \
+                         out the raw layout, or ask for format raw to read it as bare voxels"
+                    ),
+                ));
+            }
+            Err(_) => Format::Raw,
+        },
+        (None, None) => detect(input, context)?,
     };
-    forward(parsed, input, name, options, source)
+    registry::check_choices(format, context.name, context.options)?;
+    let info = registry::info(format);
+    let entry = READERS.iter().find(|entry| entry.format == format);
+    match (entry, info.missing_feature) {
+        (Some(entry), None) => Ok(entry),
+        (_, Some(feature)) => Err(Error::unsupported(
+            context.name,
+            format!(
+                "{} is read by builds with the cargo feature '{feature}', which this one was \
+                 made without: cargo install curvox --features {feature}",
+                info.title
+            ),
+        )),
+        (None, None) => Err(Error::unsupported(
+            context.name,
+            format!("{} is a folder, not a file", info.title),
+        )),
+    }
 }
 
 /// A file and how it is to be opened.
@@ -258,14 +261,10 @@ impl Place<'_> {
         Ok((input, compression, length))
     }
 
-    /// Opens the voxels of a header that keeps them in another file.
-    fn open_sibling(&self, parsed: Parsed) -> Result<Volume, Error> {
-        let Some(path) = parsed.elsewhere.iter().find(|p| p.is_file()) else {
-            let tried: Vec<_> = parsed
-                .elsewhere
-                .iter()
-                .map(|p| p.display().to_string())
-                .collect();
+    /// Opens the voxels of a header that keeps them in one other file.
+    fn open_sibling(&self, parsed: Parsed, paths: &[PathBuf]) -> Result<Volume, Error> {
+        let Some(path) = paths.iter().find(|p| p.is_file()) else {
+            let tried: Vec<_> = paths.iter().map(|p| p.display().to_string()).collect();
             return Err(Error::invalid(
                 self.name,
                 format!(
@@ -274,20 +273,96 @@ impl Place<'_> {
                 ),
             ));
         };
-        let path = path.clone();
         let name = path.display().to_string();
         let place = Place {
             name: &name,
-            path: &path,
+            path,
             options: self.options,
         };
-        let file = File::open(&path).map_err(|e| Error::io(&name, "cannot be opened", e))?;
-        let plain = parsed
-            .header
-            .voxels_bytes()
-            .and_then(|n| n.checked_add(parsed.offset));
-        let (input, compression, length) = place.begin(&file, plain)?;
+        let file = File::open(path).map_err(|e| Error::io(&name, "cannot be opened", e))?;
+        let plain = match (parsed.encoding, parsed.start) {
+            (Encoding::Raw, Start::Bytes(skip)) => parsed
+                .header
+                .voxels_bytes()
+                .and_then(|n| n.checked_add(parsed.offset)?.checked_add(skip)),
+            _ => None,
+        };
+        let encoded = parsed.encoding != Encoding::Raw;
+        let (input, compression, length) = if encoded {
+            // The header says how the bytes are encoded, and looks of them do not count.
+            let again = file
+                .try_clone()
+                .map_err(|e| Error::io(&name, "cannot be opened", e))?;
+            let length = file
+                .metadata()
+                .map_err(|e| Error::io(&name, "cannot be opened", e))?
+                .len();
+            (Input::new(again), None, length)
+        } else {
+            place.begin(&file, plain)?
+        };
         place.finish(parsed, file, input, compression, length)
+    }
+
+    /// Opens the voxels of a header that keeps equal shares of them in several files.
+    fn open_files(&self, parsed: Parsed, paths: &[PathBuf]) -> Result<Volume, Error> {
+        let missing: Vec<_> = paths.iter().filter(|p| !p.is_file()).collect();
+        if let Some(first) = missing.first() {
+            return Err(Error::invalid(
+                self.name,
+                format!(
+                    "the voxels are in {} files, {} of which are missing; the first is {}",
+                    paths.len(),
+                    missing.len(),
+                    first.display()
+                ),
+            ));
+        }
+        let bytes = parsed.header.voxels_bytes().unwrap_or(u64::MAX);
+        let files = paths.len() as u64;
+        if files == 0 || !bytes.is_multiple_of(files) {
+            return Err(Error::invalid(
+                self.name,
+                format!("{bytes} bytes of voxels cannot be {files} files of the same size"),
+            ));
+        }
+        if parsed.encoding != Encoding::Raw {
+            return Err(Error::unsupported(
+                self.name,
+                "the voxels are in several files, each compressed: uncompress them first",
+            ));
+        }
+        let share = bytes / files;
+        let joined = FileBytes::joined(self.name, paths, share, |path, length| {
+            let from = match parsed.start {
+                Start::Bytes(skip) => Some(parsed.offset.saturating_add(skip)),
+                Start::FromEnd => length.checked_sub(share),
+            };
+            from.filter(|from| from.checked_add(share).is_some_and(|end| end <= length))
+                .ok_or_else(|| {
+                    Error::invalid(
+                        path.display().to_string(),
+                        format!(
+                            "the file has {length} bytes, expected {share} bytes of voxels{}",
+                            match parsed.offset {
+                                0 => String::new(),
+                                n => format!(" behind {n} others"),
+                            }
+                        ),
+                    )
+                    .at(length)
+                })
+        })?;
+        let mut source = joined.source();
+        source.name = self.name.to_string();
+        source.length_bytes = Some(bytes);
+        let Parsed { header, order, .. } = parsed;
+        let voxels = StoredVoxels::new(joined, self.name, 0, &header, order);
+        Ok(Volume {
+            header,
+            voxels: Voxels::Random(Box::new(voxels)),
+            source,
+        })
     }
 
     /// The volume, once it is known where its voxels are.
@@ -299,15 +374,15 @@ impl Place<'_> {
         compression: Option<Compression>,
         length: u64,
     ) -> Result<Volume, Error> {
-        let mut source = SourceInfo {
-            name: self.name.to_string(),
-            path: Some(self.path.to_path_buf()),
-            compressed: compression.is_some() || parsed.zlib,
-            mapped: false,
-            re_readable: true,
-            length_bytes: Some(length),
-        };
-        if source.compressed {
+        let encoded = parsed.encoding != Encoding::Raw;
+        if compression.is_some() || encoded {
+            let source = SourceInfo {
+                path: Some(self.path.to_path_buf()),
+                compressed: true,
+                re_readable: true,
+                length_bytes: Some(length),
+                ..SourceInfo::stream(self.name)
+            };
             self.check_ratio(&parsed, compression, length)?;
             if parsed.maybe_eight_bytes {
                 self.count_voxel_bytes(&mut parsed)?;
@@ -318,11 +393,16 @@ impl Place<'_> {
         let Parsed {
             mut header,
             offset,
+            start,
             order,
             frames_behind,
             ..
         } = parsed;
         let bytes = header.voxels_bytes().unwrap_or(u64::MAX);
+        let offset = match start {
+            Start::Bytes(skip) => offset.saturating_add(skip),
+            Start::FromEnd => offset.max(length.saturating_sub(bytes)),
+        };
         let available = length.saturating_sub(offset);
         if available < bytes {
             let plane = header.plane_bytes().unwrap_or(u64::MAX);
@@ -335,34 +415,13 @@ impl Place<'_> {
                 .warnings
                 .push(trailing(self.name, offset + used, available - used));
         }
-        let bytes = self.reach(file)?;
-        source.mapped = matches!(bytes, Bytes::Map(_));
+        let bytes = FileBytes::of_file(file, self.path, self.options.io)?;
+        let source = bytes.source();
         let voxels = StoredVoxels::new(bytes, self.name, offset, &header, order);
         Ok(Volume {
             header,
             voxels: Voxels::Random(Box::new(voxels)),
             source,
-        })
-    }
-
-    /// The bytes of the file, mapped or to be read.
-    fn reach(&self, file: File) -> Result<Bytes, Error> {
-        let failed = |e| Error::io(self.name, "cannot be read", e);
-        let map = match self.options.io {
-            IoMode::Map => true,
-            IoMode::Read => false,
-            IoMode::Auto => !is_remote(&file),
-        };
-        // Address space can be short (32 bits) and guards can run out: then read.
-        if map && let Ok(Some(map)) = GuardedMap::new(file.try_clone().map_err(failed)?, self.path)
-        {
-            return Ok(Bytes::Map(map));
-        }
-        let fingerprint = Fingerprint::of(&file.metadata().map_err(failed)?);
-        Ok(Bytes::File {
-            file,
-            path: self.path.to_path_buf(),
-            fingerprint,
         })
     }
 
@@ -373,10 +432,11 @@ impl Place<'_> {
         compression: Option<Compression>,
         length: u64,
     ) -> Result<(), Error> {
+        let zlib = parsed.encoding == Encoding::Zlib;
         let single = match compression {
-            Some(Compression::Gzip) => !parsed.zlib,
+            Some(Compression::Gzip) => !zlib,
             Some(Compression::Zstd) => false,
-            None => parsed.zlib,
+            None => zlib,
         };
         let bytes = parsed.header.voxels_bytes().unwrap_or(u64::MAX);
         if single && bytes / DEFLATE_MOST > length {
@@ -398,7 +458,7 @@ impl Place<'_> {
         let (mut input, _) = decompress(Input::new(file), self.name)?;
         let failed = |input: &Input, e| read_error(self.name, input.position(), e);
         input.skip(parsed.offset).map_err(|e| failed(&input, e))?;
-        if parsed.zlib {
+        if parsed.encoding == Encoding::Zlib {
             input = input
                 .zlib()
                 .map_err(|e| read_error(self.name, parsed.offset, e))?;
@@ -414,270 +474,8 @@ impl Place<'_> {
     }
 }
 
-/// The volume of an input that runs forward.
-fn forward(
-    parsed: Parsed,
-    mut input: Input,
-    name: &str,
-    options: &OpenOptions,
-    source: SourceInfo,
-) -> Result<Volume, Error> {
-    let Parsed {
-        mut header,
-        offset,
-        order,
-        zlib,
-        maybe_eight_bytes,
-        frames_behind,
-        ..
-    } = parsed;
-    let skip = offset.saturating_sub(input.position());
-    let skipped = input
-        .skip(skip)
-        .map_err(|e| read_error(name, input.position(), e))?;
-    if skipped < skip {
-        return Err(Error::invalid(
-            name,
-            format!(
-                "the data ends before the first voxel: {} bytes found, the voxels start at byte \
-                 {offset}",
-                input.position()
-            ),
-        )
-        .at(input.position()));
-    }
-    if zlib {
-        input = input.zlib().map_err(|e| read_error(name, offset, e))?;
-    }
-    if order == AxisOrder::XFastest && !maybe_eight_bytes {
-        let voxels = StreamVoxels::new(input, name, &header, frames_behind);
-        return Ok(Volume {
-            header,
-            voxels: Voxels::Forward(Box::new(voxels)),
-            source,
-        });
-    }
-
-    let why = if maybe_eight_bytes {
-        "the size of a voxel is only known at the end of the stream"
-    } else {
-        "the array is stored with z fastest (Fortran order)"
-    };
-    let mut bytes = header.voxels_bytes().unwrap_or(u64::MAX);
-    if maybe_eight_bytes {
-        bytes = bytes.saturating_mul(2);
-    }
-    if bytes > options.spool_limit_bytes {
-        return Err(Error::unsupported(
-            name,
-            format!(
-                "{why}, so its {bytes} bytes of voxels would have to be held in memory, more than \
-                 the limit of {}: uncompress it to a file first",
-                options.spool_limit_bytes
-            ),
-        ));
-    }
-    let mut held = Vec::new();
-    input
-        .append(bytes, &mut held)
-        .map_err(|e| read_error(name, input.position(), e))?;
-    let found = held.len() as u64;
-    if maybe_eight_bytes && found == bytes {
-        vol::take_eight_bytes(&mut header, name);
-    }
-    let bytes = header.voxels_bytes().unwrap_or(u64::MAX);
-    if found < bytes {
-        let plane = header.plane_bytes().unwrap_or(u64::MAX);
-        return Err(ends_early(name, input.position(), found, bytes, plane));
-    }
-    held.truncate(usize::try_from(bytes).unwrap_or(usize::MAX));
-    header
-        .warnings
-        .extend(look_behind(&mut input, name, found - bytes, bytes, 0)?);
-    let voxels = StoredVoxels::new(Bytes::Memory(held), name, 0, &header, order);
-    Ok(Volume {
-        header,
-        voxels: Voxels::Random(Box::new(voxels)),
-        source,
-    })
-}
-
-/// Undoes one compression, if there is one.
-pub(crate) fn decompress(
-    mut input: Input,
-    name: &str,
-) -> Result<(Input, Option<Compression>), Error> {
-    let failed = |e| read_error(name, 0, e);
-    let head = input.peek(Compression::MAGIC_BYTES).map_err(failed)?;
-    if head.is_empty() {
-        return Err(Error::invalid(name, "is empty: 0 bytes"));
-    }
-    let Some(compression) = Compression::detect(head) else {
-        return Ok((input, None));
-    };
-    let mut input = input.decompressed(compression).map_err(failed)?;
-    let head = input.peek(Compression::MAGIC_BYTES).map_err(failed)?;
-    if head.is_empty() {
-        return Err(Error::invalid(
-            name,
-            format!("the {} data is empty", compression.name()),
-        ));
-    }
-    Ok((input, Some(compression)))
-}
-
-/// Bytes of a plain file with the layout the caller gave.
-fn raw_bytes(options: &OpenOptions) -> Option<u64> {
-    let raw = options.raw?;
-    voxel_count(raw.dims)?
-        .checked_mul(raw.dtype.voxel.bytes() as u64)?
-        .checked_add(raw.skip)
-}
-
-/// Reads the header: of the format asked for, of a raw layout if given, else of what is found.
-fn parse(input: &mut Input, context: &Context<'_>) -> Result<Parsed, Error> {
-    let format = match (context.options.format, &context.options.raw) {
-        (Some(format), _) => format,
-        // A layout given for a file that has its own would read the header as voxels.
-        (None, Some(_)) => match detect(input, context) {
-            Ok(found) => {
-                return Err(Error::unsupported(
-                    context.name,
-                    format!(
-                        "the content is {found}, which says its own dimensions and type: leave \
-                         out the raw layout, or ask for format raw to read it as bare voxels"
-                    ),
-                ));
-            }
-            Err(_) => Format::Raw,
-        },
-        (None, None) => detect(input, context)?,
-    };
-    let parsed = match format {
-        Format::Raw => parse_raw(context)?,
-        Format::Npy => npy::parse(input, context)?,
-        Format::Vol | Format::Longvol => vol::parse(input, context)?,
-        Format::Nifti1 | Format::Nifti2 => nifti::parse(input, context)?,
-    };
-    if let Some(frame) = context.options.frame
-        && frame > 0
-        && !matches!(format, Format::Nifti1 | Format::Nifti2)
-    {
-        return Err(Error::unsupported(
-            context.name,
-            format!("frame {frame} was asked for, but a {format} file holds one volume"),
-        ));
-    }
-    Ok(parsed)
-}
-
-fn parse_raw(context: &Context<'_>) -> Result<Parsed, Error> {
-    let Some(raw) = context.options.raw else {
-        return Err(Error::unsupported(
-            context.name,
-            "a raw file has no header: its dimensions and voxel type must be given",
-        ));
-    };
-    let mut header = Header::new(Format::Raw, raw.dims, raw.dtype);
-    if let Some(spacing) = raw.spacing {
-        if let Some(bad) = spacing.iter().find(|s| !is_plausible_spacing(**s)) {
-            return Err(Error::invalid(
-                context.name,
-                format!("the given spacing {bad} is not a positive length"),
-            ));
-        }
-        header.spacing = Some(spacing);
-        header.unit = raw.unit;
-    }
-    Ok(Parsed::new(header, raw.skip))
-}
-
-/// Whether a number can be the edge of a voxel in any unit. Beyond the bounds (an atomic nucleus
-/// in metres; a light year in millimetres is 1e19) lie only fields that were never filled in.
-pub(crate) fn is_plausible_spacing(spacing: f64) -> bool {
-    const BOUNDS: std::ops::RangeInclusive<f64> = 1e-15..=1e15;
-    BOUNDS.contains(&spacing)
-}
-
-/// Refuses extents that no memory or file can have.
-fn check_extents(header: &Header, name: &str) -> Result<(), Error> {
-    let [x, y, z] = header.dims;
-    if x == 0 || y == 0 || z == 0 {
-        return Err(Error::invalid(
-            name,
-            format!("the volume has {x} x {y} x {z} voxels; each extent must be at least 1"),
-        ));
-    }
-    // Signed, as offsets in files are; a factor of two stays for intermediate sums.
-    const MOST_BYTES: u64 = u64::MAX >> 2;
-    if header.voxels_bytes().is_none_or(|bytes| bytes > MOST_BYTES) {
-        return Err(Error::invalid(
-            name,
-            format!(
-                "{x} x {y} x {z} voxels of {} do not fit any file",
-                header.voxel
-            ),
-        ));
-    }
-    Ok(())
-}
-
 fn has_extension(path: &Path, extensions: &[&str]) -> bool {
     path.extension()
         .and_then(|e| e.to_str())
         .is_some_and(|e| extensions.iter().any(|known| e.eq_ignore_ascii_case(known)))
-}
-
-/// Whether a file is on a network file system, where a lost server would stall a map.
-#[cfg(target_os = "linux")]
-fn is_remote(file: &File) -> bool {
-    use std::os::fd::AsRawFd;
-    /// Magic numbers of statfs(2): NFS, SMB, CIFS, SMB2, FUSE, Lustre, 9P, AFS, Ceph, GPFS.
-    const REMOTE: [u32; 10] = [
-        0x6969,
-        0x517b,
-        0xff53_4d42,
-        0xfe53_4d42,
-        0x6573_5546,
-        0x0bd0_0bd0,
-        0x0102_1997,
-        0x5346_414f,
-        0x00c3_6400,
-        0x4750_4653,
-    ];
-    // SAFETY: statfs is a plain C struct for which all zeros is valid; fstatfs fills it for an
-    // open descriptor.
-    let kind = unsafe {
-        let mut about: libc::statfs = std::mem::zeroed();
-        if libc::fstatfs(file.as_raw_fd(), &mut about) != 0 {
-            return false;
-        }
-        about.f_type
-    };
-    // The field's width and sign differ between targets; the numbers have 32 bits.
-    REMOTE.contains(&(kind as u32))
-}
-
-#[cfg(not(target_os = "linux"))]
-fn is_remote(_: &File) -> bool {
-    false
-}
-
-/// A voxel type of the given kind and size, for formats that state them apart.
-pub(crate) fn voxel_type(kind: u8, bytes: u64) -> Option<VoxelType> {
-    Some(match (kind, bytes) {
-        (b'b', 1) => VoxelType::Bool,
-        (b'u', 1) => VoxelType::U8,
-        (b'u', 2) => VoxelType::U16,
-        (b'u', 4) => VoxelType::U32,
-        (b'u', 8) => VoxelType::U64,
-        (b'i', 1) => VoxelType::I8,
-        (b'i', 2) => VoxelType::I16,
-        (b'i', 4) => VoxelType::I32,
-        (b'i', 8) => VoxelType::I64,
-        (b'f', 2) => VoxelType::F16,
-        (b'f', 4) => VoxelType::F32,
-        (b'f', 8) => VoxelType::F64,
-        _ => return None,
-    })
 }

@@ -6,13 +6,9 @@
 //! order of a (z, y, x) array) are transposed while reading: a box of many planes then costs
 //! little more than one plane, so such files are best read in thick boxes.
 
-use std::fs::File;
-use std::io;
-use std::path::PathBuf;
-
+use crate::bytes::FileBytes;
 use crate::error::Error;
 use crate::header::{Header, Region};
-use crate::map::{Fingerprint, GuardedMap};
 use crate::volume::RandomVoxels;
 
 /// In which order the voxels are stored.
@@ -24,22 +20,10 @@ pub(crate) enum AxisOrder {
     ZFastest,
 }
 
-/// Where the bytes are.
-#[derive(Debug)]
-pub(crate) enum Bytes {
-    Map(GuardedMap),
-    File {
-        file: File,
-        path: PathBuf,
-        fingerprint: Fingerprint,
-    },
-    Memory(Vec<u8>),
-}
-
 /// Voxels stored one behind the other.
 #[derive(Debug)]
 pub(crate) struct StoredVoxels {
-    bytes: Bytes,
+    bytes: FileBytes,
     name: String,
     /// Offset of the first voxel.
     offset: u64,
@@ -52,13 +36,13 @@ impl StoredVoxels {
     /// The voxels of `header` in `bytes` from `offset`. The caller has checked that the bytes
     /// reach as far as the header says, so offsets within the volume fit `u64`.
     pub(crate) fn new(
-        bytes: Bytes,
+        bytes: FileBytes,
         name: &str,
         offset: u64,
         header: &Header,
         order: AxisOrder,
     ) -> Self {
-        if let (Bytes::Map(map), AxisOrder::XFastest) = (&bytes, order) {
+        if let (Some(map), AxisOrder::XFastest) = (bytes.map(), order) {
             map.expect_sequential();
         }
         Self {
@@ -72,42 +56,7 @@ impl StoredVoxels {
     }
 
     fn check_region(&self, region: &Region) -> Result<(), Error> {
-        if region.is_inside(self.dims) {
-            return Ok(());
-        }
-        Err(Error::invalid(
-            &self.name,
-            format!(
-                "a box of {:?} voxels at {:?} was asked for, the volume has {:?}",
-                region.size, region.origin, self.dims
-            ),
-        ))
-    }
-
-    /// The mapped or held bytes `start..start + count` of the file, if there are such.
-    fn slice(&self, start: u64, count: u64) -> Result<Option<&[u8]>, Error> {
-        let all = match &self.bytes {
-            Bytes::Map(map) => map.bytes(),
-            Bytes::Memory(bytes) => bytes,
-            Bytes::File { .. } => return Ok(None),
-        };
-        let range = usize::try_from(start).ok().zip(usize::try_from(count).ok());
-        let slice = range.and_then(|(start, count)| all.get(start..start.checked_add(count)?));
-        // Reached only if the caller of `new` did not check the length.
-        slice
-            .map(Some)
-            .ok_or_else(|| Error::invalid(&self.name, "the data ends early").at(start))
-    }
-
-    /// Fills `out` from the bytes at `start`.
-    fn copy(&self, start: u64, out: &mut [u8]) -> Result<(), Error> {
-        if let Some(bytes) = self.slice(start, out.len() as u64)? {
-            out.copy_from_slice(bytes);
-        } else if let Bytes::File { file, .. } = &self.bytes {
-            read_exact_at(file, out, start)
-                .map_err(|e| Error::io(&self.name, "cannot be read", e).at(start))?;
-        }
-        Ok(())
+        region.check_inside(self.dims, &self.name)
     }
 
     /// Copies a box of canonically stored voxels: rows, or planes where the box has whole ones.
@@ -131,7 +80,7 @@ impl StoredVoxels {
         for k in 0..runs_z {
             for j in 0..runs_y {
                 if let Some(out) = runs.next() {
-                    self.copy(at(x, y + j, z + k), out)?;
+                    self.bytes.read_into(at(x, y + j, z + k), out)?;
                 }
             }
         }
@@ -178,7 +127,7 @@ impl StoredVoxels {
 
         // Only a file that is read needs buffers; mapped bytes are used where they are.
         let span_most = (rows - 1) * stride + run;
-        let reads = matches!(self.bytes, Bytes::File { .. });
+        let reads = !self.bytes.in_memory();
         let mut buffers = vec![vec![0; if reads { span_most } else { 0 }]; TILE.min(sx)];
         let mut touched = 0;
         for first in (0..sx).step_by(TILE) {
@@ -190,10 +139,10 @@ impl StoredVoxels {
                 for (c, buffer) in buffers.iter_mut().take(columns).enumerate() {
                     let start = at(x0 + (first + c) as u64, y0 + y as u64);
                     spans[c] = if reads {
-                        self.copy(start, &mut buffer[..span])?;
+                        self.bytes.read_into(start, &mut buffer[..span])?;
                         &buffer[..span]
                     } else {
-                        self.slice(start, span as u64)?.unwrap_or_default()
+                        self.bytes.slice(start, span as u64)?.unwrap_or_default()
                     };
                 }
                 for row in 0..rows {
@@ -217,7 +166,7 @@ impl StoredVoxels {
     }
 
     fn release_bytes(&self, start: u64, end: u64) {
-        if let Bytes::Map(map) = &self.bytes
+        if let Some(map) = self.bytes.map()
             && let (Ok(start), Ok(end)) = (usize::try_from(start), usize::try_from(end))
         {
             map.release(start, end);
@@ -229,18 +178,8 @@ impl RandomVoxels for StoredVoxels {
     fn read_box(&self, region: &Region, out: &mut Vec<u8>) -> Result<(), Error> {
         self.check_region(region)?;
         self.check()?;
-        let too_large = || Error::unsupported(&self.name, "the box does not fit memory");
-        let bytes = region
-            .voxels()
-            .and_then(|n| n.checked_mul(self.voxel_bytes as u64))
-            .and_then(|n| usize::try_from(n).ok())
-            .ok_or_else(too_large)?;
-        // Not cleared first: a buffer of the same size is then not written twice.
-        out.truncate(bytes);
-        out.try_reserve_exact(bytes - out.len())
-            .map_err(|_| too_large())?;
-        out.resize(bytes, 0);
-        if bytes == 0 {
+        region.make_room(self.voxel_bytes, out, &self.name)?;
+        if out.is_empty() {
             return Ok(());
         }
         match self.order {
@@ -261,19 +200,11 @@ impl RandomVoxels for StoredVoxels {
         }
         self.check()?;
         let plane = nx * ny * self.voxel_bytes as u64;
-        self.slice(self.offset + z * plane, count * plane)
+        self.bytes.slice(self.offset + z * plane, count * plane)
     }
 
     fn check(&self) -> Result<(), Error> {
-        match &self.bytes {
-            Bytes::Map(map) => map.check(),
-            Bytes::File {
-                file,
-                path,
-                fingerprint,
-            } => fingerprint.check(file, path),
-            Bytes::Memory(_) => Ok(()),
-        }
+        self.bytes.check()
     }
 
     fn release(&self, z_end: u64) {
@@ -282,27 +213,5 @@ impl RandomVoxels for StoredVoxels {
             let plane = nx * ny * self.voxel_bytes as u64;
             self.release_bytes(self.offset, self.offset + z_end.min(nz) * plane);
         }
-    }
-}
-
-/// Fills `out` from `offset` on, without moving the file's position.
-fn read_exact_at(file: &File, out: &mut [u8], offset: u64) -> io::Result<()> {
-    #[cfg(unix)]
-    {
-        std::os::unix::fs::FileExt::read_exact_at(file, out, offset)
-    }
-    #[cfg(windows)]
-    {
-        let mut done = 0;
-        while done < out.len() {
-            let from = offset + done as u64;
-            match std::os::windows::fs::FileExt::seek_read(file, &mut out[done..], from) {
-                Ok(0) => return Err(io::ErrorKind::UnexpectedEof.into()),
-                Ok(n) => done += n,
-                Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
-                Err(e) => return Err(e),
-            }
-        }
-        Ok(())
     }
 }

@@ -15,7 +15,7 @@ use std::io::BufRead;
 use crate::error::Error;
 use crate::header::{ByteOrder, DType, Format, Header, VoxelType, voxel_count};
 use crate::input::Input;
-use crate::open::{Context, Parsed};
+use crate::parsed::{Context, Encoding, Parsed};
 
 /// Keys a file can begin with. Their order is free.
 const KEYS: [&str; 14] = [
@@ -134,7 +134,9 @@ pub(crate) fn parse(input: &mut Input, context: &Context<'_>) -> Result<Parsed, 
     }
 
     let mut parsed = Parsed::new(header, input.position());
-    parsed.zlib = zlib;
+    if zlib {
+        parsed.encoding = Encoding::Zlib;
+    }
     if voxel == VoxelType::U32 {
         match context.length.filter(|_| !zlib) {
             None => parsed.maybe_eight_bytes = true,

@@ -42,6 +42,27 @@ pub struct SourceInfo {
     pub re_readable: bool,
     /// Bytes of the file that holds the voxels, compressed if it is; `None` for a stream.
     pub length_bytes: Option<u64>,
+    /// Bytes of memory that the reader holds as long as it is open: a copied stream, an index of
+    /// chunks. Buffers of a single read are not counted.
+    pub held_bytes: u64,
+    /// Bytes of a stream that were copied to disk.
+    pub spilled_bytes: u64,
+}
+
+impl SourceInfo {
+    /// Of something that can only be read once and is known by a name.
+    pub fn stream(name: &str) -> Self {
+        Self {
+            name: name.to_string(),
+            path: None,
+            compressed: false,
+            mapped: false,
+            re_readable: false,
+            length_bytes: None,
+            held_bytes: 0,
+            spilled_bytes: 0,
+        }
+    }
 }
 
 /// Planes in order of z, x fastest, bytes in the header's byte order.
@@ -91,6 +112,20 @@ pub trait RandomVoxels: Send + Sync {
     ///
     /// If the file changed under the map meanwhile: what was computed from the bytes is wrong.
     fn check(&self) -> Result<(), Error>;
+
+    /// The shape, along x, y, z, of the pieces in which the voxels are decoded, the first of which
+    /// begins at voxel (0, 0, 0); `None` where any box costs as much as its bytes. Reading a part
+    /// of a piece decodes all of it.
+    fn chunk(&self) -> Option<[u64; 3]> {
+        None
+    }
+
+    /// The value, as the bytes of one voxel (the first of the eight), that all voxels of `region`
+    /// have, where that is known without reading them. `None` says nothing.
+    fn uniform(&self, region: &Region) -> Option<[u8; 8]> {
+        let _ = region;
+        None
+    }
 
     /// Says that planes before `z_end` are not needed for now, so that they do not count in this
     /// process's resident memory. They can be read again all the same.

@@ -23,6 +23,12 @@ mod headers;
 /// Damage of any kind is an error, in bounded memory.
 mod damaged;
 
+/// The small files beside the tests: what each must give.
+mod fixtures;
+
+/// Damaged copies of them.
+mod mutation;
+
 /// Meshes: every form of OBJ, PLY and STL, and damage to them.
 mod meshes;
 

@@ -25,8 +25,8 @@ use std::str::FromStr;
 
 use crate::detect::looks_like_no_mesh;
 use crate::error::Error;
+use crate::input::decompress;
 use crate::input::{Input, read_error};
-use crate::open::decompress;
 
 /// Formats of meshes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

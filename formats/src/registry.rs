@@ -1,0 +1,284 @@
+//! The table of formats: their names, how they are recognised, and who reads them.
+//!
+//! One entry a format, in two tables: [`formats`], which says to a user what there is, and
+//! [`READERS`], which says to this crate how each is read. A format is recognised by its content.
+//! To add one: a variant of [`Format`], an entry in each table, a module.
+
+use std::path::Path;
+
+use crate::bytes::FileBytes;
+use crate::error::Error;
+use crate::header::Format;
+use crate::input::Input;
+use crate::options::OpenOptions;
+use crate::parsed::{Context, Parsed};
+use crate::volume::Volume;
+use crate::{nifti, npy, raw, vol};
+
+/// What there is to know about a format before a file is opened.
+#[derive(Clone, Copy, Debug)]
+#[non_exhaustive]
+pub struct FormatInfo {
+    /// The format.
+    pub format: Format,
+    /// Names as typed on a command line, the usual one first.
+    pub names: &'static [&'static str],
+    /// Its name in print.
+    pub title: &'static str,
+    /// Extensions its files usually have. Only for print: the content decides.
+    pub extensions: &'static str,
+    /// What of it is read.
+    pub variants: &'static str,
+    /// Whether it can be read from a pipe without being copied first.
+    pub forward: bool,
+    /// Choices it may ask for.
+    pub choices: Choices,
+    /// The cargo feature that this build was made without, if it is needed to read the format.
+    pub missing_feature: Option<&'static str>,
+}
+
+/// Which choices a file of a format may offer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Choices {
+    /// Of a volume in time.
+    pub frame: bool,
+    /// Of a channel.
+    pub channel: bool,
+    /// Of an array, grid, series or member.
+    pub dataset: bool,
+    /// Of a level of a pyramid.
+    pub level: bool,
+}
+
+const NONE: Choices = Choices {
+    frame: false,
+    channel: false,
+    dataset: false,
+    level: false,
+};
+
+const FRAME: Choices = Choices {
+    frame: true,
+    ..NONE
+};
+
+/// All formats, in the order of the table that is printed.
+pub fn formats() -> &'static [FormatInfo] {
+    FORMATS
+}
+
+/// The entry of a format. Every format has one.
+pub(crate) fn info(format: Format) -> &'static FormatInfo {
+    // Raw stands first, and a test says that all are there.
+    FORMATS
+        .iter()
+        .find(|info| info.format == format)
+        .unwrap_or(&FORMATS[0])
+}
+
+static FORMATS: &[FormatInfo] = &[
+    FormatInfo {
+        format: Format::Raw,
+        names: &["raw"],
+        title: "raw voxels",
+        extensions: "any",
+        variants: "any type, either byte order, x fastest; the caller gives the layout",
+        forward: true,
+        choices: NONE,
+        missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::Nifti1,
+        names: &["nifti1", "nifti", "nii"],
+        title: "NIfTI-1",
+        extensions: ".nii .nii.gz .hdr/.img",
+        variants: "single file and pair, either byte order",
+        forward: true,
+        choices: FRAME,
+        missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::Nifti2,
+        names: &["nifti2"],
+        title: "NIfTI-2",
+        extensions: ".nii .nii.gz .hdr/.img",
+        variants: "single file and pair, either byte order",
+        forward: true,
+        choices: FRAME,
+        missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::Npy,
+        names: &["npy"],
+        title: "NumPy array",
+        extensions: ".npy",
+        variants: "format 1 to 3, C and Fortran order, either byte order",
+        forward: true,
+        choices: NONE,
+        missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::Vol,
+        names: &["vol"],
+        title: "DGtal vol",
+        extensions: ".vol",
+        variants: "version 1 to 3, plain and zlib",
+        forward: true,
+        choices: NONE,
+        missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::Longvol,
+        names: &["longvol"],
+        title: "DGtal longvol",
+        extensions: ".longvol",
+        variants: "4 and 8 bytes a voxel, plain and zlib",
+        forward: true,
+        choices: NONE,
+        missing_feature: None,
+    },
+];
+
+/// How the voxels of a file are found.
+#[derive(Clone, Copy)]
+pub(crate) enum Reader {
+    /// The header first, the voxels after it (or in other files), one behind the other.
+    Header(fn(&mut Input, &Context<'_>) -> Result<Parsed, Error>),
+    /// The bytes are needed in an order of the reader's own.
+    #[allow(dead_code)]
+    Bytes(fn(FileBytes, &Context<'_>) -> Result<Volume, Error>),
+    /// Nothing in this build: see [`FormatInfo::missing_feature`].
+    #[allow(dead_code)]
+    Missing,
+}
+
+/// A format and who reads it.
+pub(crate) struct Entry {
+    pub(crate) format: Format,
+    /// Whether content that begins with these bytes (1024, or all there are) is of this format.
+    pub(crate) detect: fn(&[u8]) -> bool,
+    pub(crate) reader: Reader,
+}
+
+/// Readers of files. The first that recognises the content is taken.
+pub(crate) static READERS: &[Entry] = &[
+    Entry {
+        format: Format::Npy,
+        detect: |head| head.starts_with(npy::MAGIC),
+        reader: Reader::Header(npy::parse),
+    },
+    Entry {
+        format: Format::Nifti1,
+        detect: |head| nifti::detect(head) == Some(Format::Nifti1),
+        reader: Reader::Header(nifti::parse),
+    },
+    Entry {
+        format: Format::Nifti2,
+        detect: |head| nifti::detect(head) == Some(Format::Nifti2),
+        reader: Reader::Header(nifti::parse),
+    },
+    Entry {
+        format: Format::Vol,
+        detect: |head| vol::detect(head) == Some(Format::Vol),
+        reader: Reader::Header(vol::parse),
+    },
+    Entry {
+        format: Format::Longvol,
+        detect: |head| vol::detect(head) == Some(Format::Longvol),
+        reader: Reader::Header(vol::parse),
+    },
+    Entry {
+        format: Format::Raw,
+        detect: |_| false,
+        reader: Reader::Header(raw::parse),
+    },
+];
+
+/// A format whose volumes are folders.
+pub(crate) struct Folder {
+    pub(crate) format: Format,
+    /// Whether the folder looks like one.
+    pub(crate) detect: fn(&Path) -> bool,
+    pub(crate) open: fn(&Path, &OpenOptions) -> Result<Volume, Error>,
+}
+
+/// Readers of folders. The first that recognises the folder is taken.
+pub(crate) static FOLDERS: &[Folder] = &[];
+
+/// Refuses choices that the format does not offer.
+pub(crate) fn check_choices(
+    format: Format,
+    name: &str,
+    options: &OpenOptions,
+) -> Result<(), Error> {
+    let info = info(format);
+    let asked = [
+        (
+            options.frame.is_some_and(|n| n > 0),
+            info.choices.frame,
+            "frame",
+            "holds one volume",
+        ),
+        (
+            options.channel.is_some_and(|n| n > 0),
+            info.choices.channel,
+            "channel",
+            "has one channel",
+        ),
+        (
+            options.dataset.is_some(),
+            info.choices.dataset,
+            "dataset",
+            "has no named datasets",
+        ),
+        (
+            options.level.is_some_and(|n| n > 0),
+            info.choices.level,
+            "level",
+            "has one level",
+        ),
+    ];
+    for (asked, offered, what, has) in asked {
+        if asked && !offered {
+            let which = match what {
+                "frame" => options.frame.map(|n| n.to_string()),
+                "channel" => options.channel.map(|n| n.to_string()),
+                "level" => options.level.map(|n| n.to_string()),
+                _ => options.dataset.clone(),
+            };
+            return Err(Error::unsupported(
+                name,
+                format!(
+                    "{what} {} was asked for, but a {} file {has}",
+                    which.unwrap_or_default(),
+                    info.names[0]
+                ),
+            ));
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_reader_has_an_entry_and_every_name_is_one_format() {
+        for entry in READERS {
+            assert_eq!(info(entry.format).format, entry.format);
+        }
+        for folder in FOLDERS {
+            assert_eq!(info(folder.format).format, folder.format);
+        }
+        let mut names: Vec<_> = FORMATS.iter().flat_map(|f| f.names).collect();
+        let count = names.len();
+        names.sort();
+        names.dedup();
+        assert_eq!(names.len(), count);
+        for info in FORMATS {
+            assert_eq!(info.names[0].parse(), Ok(info.format));
+        }
+    }
+}
