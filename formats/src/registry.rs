@@ -63,6 +63,13 @@ const FRAME: Choices = Choices {
     ..NONE
 };
 
+const ALL: Choices = Choices {
+    frame: true,
+    channel: true,
+    dataset: true,
+    level: true,
+};
+
 /// All formats, in the order of the table that is printed.
 pub fn formats() -> &'static [FormatInfo] {
     FORMATS
@@ -138,6 +145,22 @@ static FORMATS: &[FormatInfo] = &[
         choices: NONE,
         missing_feature: None,
     },
+    FormatInfo {
+        format: Format::Hdf5,
+        names: &["hdf5", "h5"],
+        title: "HDF5",
+        extensions: ".h5 .hdf5 .nxs .ims .mnc .mat",
+        variants: "contiguous, compact and chunked datasets; deflate, shuffle, fletcher32, lzf, \
+                   blosc, bitshuffle, lz4, zstd, bzip2; Imaris, BigDataViewer, MINC 2, Data \
+                   Exchange, NeXus, MATLAB 7.3",
+        forward: false,
+        choices: ALL,
+        missing_feature: if cfg!(feature = "hdf5") {
+            None
+        } else {
+            Some("hdf5")
+        },
+    },
 ];
 
 /// How the voxels of a file are found.
@@ -189,11 +212,26 @@ pub(crate) static READERS: &[Entry] = &[
         reader: Reader::Header(vol::parse),
     },
     Entry {
+        format: Format::Hdf5,
+        // MATLAB writes behind 512 bytes of its own.
+        detect: |head| {
+            [0, 512]
+                .iter()
+                .any(|at| head.get(*at..).is_some_and(|h| h.starts_with(HDF5_MAGIC)))
+        },
+        #[cfg(feature = "hdf5")]
+        reader: Reader::Bytes(crate::hdf5::read),
+        #[cfg(not(feature = "hdf5"))]
+        reader: Reader::Missing,
+    },
+    Entry {
         format: Format::Raw,
         detect: |_| false,
         reader: Reader::Header(raw::parse),
     },
 ];
+
+const HDF5_MAGIC: &[u8] = b"\x89HDF\r\n\x1a\n";
 
 /// A format whose volumes are folders.
 pub(crate) struct Folder {
