@@ -136,7 +136,9 @@ impl Tree2 {
             // What is described is counted, so a tree with many ways to one node ends.
             let node = file.describe(address, self.node_bytes.into())?;
             let (records, mut children) = self.node(file, address, &node, level, count)?;
-            records.chunks_exact(self.record_bytes).try_for_each(&mut visit)?;
+            records
+                .chunks_exact(self.record_bytes)
+                .try_for_each(&mut visit)?;
             if level > 0 {
                 for _ in 0..=count {
                     let (address, count) = self.child(&mut children, level)?;

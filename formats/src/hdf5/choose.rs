@@ -81,6 +81,22 @@ impl Choice<'_> {
         }
     }
 
+    /// The objects that are linked in the group at a path, and their names, sorted.
+    pub(super) fn members(&self, path: &str) -> Result<Vec<(String, u64)>, Error> {
+        let mut members = Vec::new();
+        if let Some((object, _)) = self.object(path)?
+            && is_group(&object)
+        {
+            for link in links(self.file, &object)? {
+                if let Target::Hard(address) = link.target {
+                    members.push((link.name, address));
+                }
+            }
+        }
+        members.sort();
+        Ok(members)
+    }
+
     /// The names in the group at a path, sorted.
     pub(super) fn names(&self, path: &str) -> Result<Vec<String>, Error> {
         let mut names = match self.object(path)? {
@@ -131,7 +147,9 @@ impl Choice<'_> {
         let volumes: Vec<_> = all.iter().filter(|listed| listed.volume).collect();
         match volumes.as_slice() {
             [] => {
-                let near = all.iter().find(|listed| listed.extents >= 3);
+                let near = all
+                    .iter()
+                    .find(|listed| listed.extents >= 3 && !listed.numbers);
                 let what = match near {
                     Some(near) => format!("a 3-D dataset of {}", near.what),
                     None => "no 3-D dataset of numbers".into(),
@@ -215,6 +233,7 @@ impl Choice<'_> {
             path: dataset.path.clone(),
             text: dataset.describe(),
             what: dataset.datatype.what.name(),
+            numbers: dataset.dtype().is_some(),
             extents: dataset.dims.len(),
             volume,
         })
@@ -226,6 +245,7 @@ struct Listed {
     path: String,
     text: String,
     what: &'static str,
+    numbers: bool,
     extents: usize,
     volume: bool,
 }
@@ -310,10 +330,17 @@ impl Axes {
 }
 
 /// The part of a dataset that is the volume, with what the caller chose of further axes.
-pub(super) fn select(choice: &Choice<'_>, chosen: &Chosen, letters: Option<&str>) -> Result<Selection, Error> {
+pub(super) fn select(
+    choice: &Choice<'_>,
+    chosen: &Chosen,
+    letters: Option<&str>,
+) -> Result<Selection, Error> {
     let dataset = &chosen.dataset;
     let refused = |what: String| {
-        Error::unsupported(choice.file.name(), format!("dataset {} {what}", dataset.path))
+        Error::unsupported(
+            choice.file.name(),
+            format!("dataset {} {what}", dataset.path),
+        )
     };
     let dims = &dataset.dims;
     let Some(axes) = Axes::of(dims, letters) else {
@@ -325,7 +352,12 @@ pub(super) fn select(choice: &Choice<'_>, chosen: &Chosen, letters: Option<&str>
     let options = choice.options;
     let further = [
         ("frame", axes.frame, options.frame, chosen.settled.frame),
-        ("channel", axes.channel, options.channel, chosen.settled.channel),
+        (
+            "channel",
+            axes.channel,
+            options.channel,
+            chosen.settled.channel,
+        ),
     ];
     for (what, axis, wanted, settled) in further {
         let wanted = wanted.filter(|_| !settled);
@@ -350,7 +382,9 @@ pub(super) fn select(choice: &Choice<'_>, chosen: &Chosen, letters: Option<&str>
             fixed[axis] = index;
         }
     }
-    let level = options.level.filter(|level| *level > 0 && !chosen.settled.level);
+    let level = options
+        .level
+        .filter(|level| *level > 0 && !chosen.settled.level);
     if let Some(level) = level {
         return Err(refused(format!("has one level: there is no level {level}")));
     }

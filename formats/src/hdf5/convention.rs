@@ -4,8 +4,10 @@
 //! Imaris and BigDataViewer keep each in a dataset of its own, MINC 2 its levels; Data Exchange
 //! has one name for the volume; NeXus says by attributes which dataset to look at.
 
+use super::attribute::Attributes;
 use super::choose::{Choice, Chosen, Settled};
 use super::dataset::Dataset;
+use super::object::Object;
 use crate::error::Error;
 
 /// The dataset of a file laid out by one of the conventions, unless the caller names another.
@@ -65,7 +67,10 @@ fn found(
     choice.dataset(path)?.ok_or_else(|| {
         Error::invalid(
             choice.file.name(),
-            format!("there is no {what} {n} ({path}); there are: {}", there.join(", ")),
+            format!(
+                "there is no {what} {n} ({path}); there are: {}",
+                there.join(", ")
+            ),
         )
     })
 }
@@ -94,7 +99,10 @@ fn one_of<'a>(
     there.get(index).map(String::as_str).ok_or_else(|| {
         Error::invalid(
             choice.file.name(),
-            format!("there is no {what} {index}; there are {count}: {}", there.join(", ")),
+            format!(
+                "there is no {what} {index}; there are {count}: {}",
+                there.join(", ")
+            ),
         )
     })
 }
@@ -112,7 +120,11 @@ fn imaris(choice: &Choice<'_>, image: &str) -> Result<Chosen, Error> {
     let mut path = format!("/{image}");
     let options = choice.options;
     let parts = [
-        ("level", "ResolutionLevel ", Some(u64::from(options.level.unwrap_or(0)))),
+        (
+            "level",
+            "ResolutionLevel ",
+            Some(u64::from(options.level.unwrap_or(0))),
+        ),
         ("frame", "TimePoint ", options.frame),
         ("channel", "Channel ", options.channel),
     ];
@@ -159,7 +171,13 @@ fn big_data_viewer(choice: &Choice<'_>, names: &[String]) -> Result<Chosen, Erro
     let level = u64::from(options.level.unwrap_or(0));
     let levels = with_numbers(choice.names(&path)?, "");
     let level = one_of(choice, "level", Some(level), &levels)?;
-    let dataset = found(choice, &format!("{path}/{level}/cells"), "level", 0, &levels)?;
+    let dataset = found(
+        choice,
+        &format!("{path}/{level}/cells"),
+        "level",
+        0,
+        &levels,
+    )?;
     Ok(Chosen {
         dataset,
         settled: ALL,
@@ -185,17 +203,17 @@ pub(super) fn nexus(choice: &Choice<'_>, path: &str) -> Result<Option<Dataset>, 
             continue;
         }
         let class = group.text("NX_class");
-        let members = choice.names(&path)?;
+        let members = choice.members(&path)?;
         if members.len() > MOST_MEMBERS {
             return Ok(None);
         }
+        let attributes = |address| -> Result<Attributes, Error> {
+            Attributes::read(choice.file, &Object::read(choice.file, address)?)
+        };
         if class.as_deref() == Some("NXdata") {
-            for name in members {
-                let path = below(&name);
-                let mark = choice.attributes(&path)?;
-                let one = mark.number("signal") == Some(1.0);
-                if one && let Some(dataset) = choice.dataset(&path)? {
-                    return Ok(Some(dataset));
+            for (name, address) in members {
+                if attributes(address)?.number("signal") == Some(1.0) {
+                    return choice.dataset(&below(&name));
                 }
             }
             return Ok(None);
@@ -206,15 +224,9 @@ pub(super) fn nexus(choice: &Choice<'_>, path: &str) -> Result<Option<Dataset>, 
             _ => return Ok(None),
         };
         let mut next = Vec::new();
-        for name in members {
-            let path = below(&name);
-            // A link to another file is none of these.
-            let class = match choice.attributes(&path) {
-                Ok(attributes) => attributes.text("NX_class"),
-                Err(_) => None,
-            };
-            if class.as_deref() == Some(wanted) {
-                next.push(path);
+        for (name, address) in members {
+            if attributes(address)?.text("NX_class").as_deref() == Some(wanted) {
+                next.push(below(&name));
             }
         }
         match next.pop() {

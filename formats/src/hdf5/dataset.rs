@@ -104,7 +104,11 @@ impl Dataset {
         let row = Self {
             path: self.path.clone(),
             object: Object::read(file, self.object.address)?,
-            dims: if self.dims.is_empty() { vec![1] } else { self.dims.clone() },
+            dims: if self.dims.is_empty() {
+                vec![1]
+            } else {
+                self.dims.clone()
+            },
             datatype: self.datatype.clone(),
             space: self.space.clone(),
         };
@@ -112,11 +116,11 @@ impl Dataset {
             volume: [None, None, Some(0)],
             fixed: vec![0],
         };
-        let voxels = row.voxels(file, &selection, &mut Header::new(
-            Format::Hdf5,
-            [count, 1, 1],
-            dtype,
-        ))?;
+        let voxels = row.voxels(
+            file,
+            &selection,
+            &mut Header::new(Format::Hdf5, [count, 1, 1], dtype),
+        )?;
         let mut bytes = Vec::new();
         voxels.read_box(&crate::header::Region::whole([count, 1, 1]), &mut bytes)?;
         Ok(Some(numbers(dtype, &bytes)))
@@ -150,10 +154,11 @@ impl Dataset {
         header: &mut Header,
     ) -> Result<Box<dyn RandomVoxels>, Error> {
         if self.object.has(kind::EXTERNAL) {
-            return Err(self.unsupported(file, "keeps its voxels in an external file: not read here"));
+            return Err(
+                self.unsupported(file, "keeps its voxels in an external file: not read here")
+            );
         }
         let bytes = header.voxel.bytes();
-        // Further axes make no difference to the framework's check, so it is made here.
         let whole = self
             .dims
             .iter()
@@ -190,7 +195,10 @@ impl Dataset {
         };
         // Reported now rather than by the read that meets the end.
         let place = file.place(address);
-        if place.checked_add(whole).is_none_or(|end| end > file.bytes().len()) {
+        if place
+            .checked_add(whole)
+            .is_none_or(|end| end > file.bytes().len())
+        {
             return Err(self
                 .invalid(
                     file,
@@ -250,9 +258,10 @@ impl Dataset {
         let bytes = header.voxel.bytes();
         let chunk = &chunking.dims;
         let fits = chunk.len() == self.dims.len()
-            && chunk.iter().zip(&self.space.most).all(|(n, most)| {
-                *n > 0 && most.is_none_or(|most| *n <= most.max(1))
-            });
+            && chunk
+                .iter()
+                .zip(&self.space.most)
+                .all(|(n, most)| *n > 0 && most.is_none_or(|most| *n <= most.max(1)));
         let chunk_bytes = chunk
             .iter()
             .try_fold(bytes as u64, |n, d| n.checked_mul(*d))
@@ -293,11 +302,21 @@ impl Dataset {
         // Where the chosen planes of further axes are in their chunks.
         let within = Selection {
             volume: selection.volume,
-            fixed: selection.fixed.iter().zip(chunk).map(|(at, n)| at % n).collect(),
+            fixed: selection
+                .fixed
+                .iter()
+                .zip(chunk)
+                .map(|(at, n)| at % n)
+                .collect(),
         };
         let strides = strides(chunk);
         let chunks = ChunkedDataset {
-            numbers: selection.fixed.iter().zip(chunk).map(|(at, n)| at / n).collect(),
+            numbers: selection
+                .fixed
+                .iter()
+                .zip(chunk)
+                .map(|(at, n)| at / n)
+                .collect(),
             pick: Pick {
                 start: within.start(&strides),
                 strides: within.strides(&strides),
@@ -479,7 +498,9 @@ impl Chunks for ChunkedDataset {
         let data = self.file.read(stored.address, bytes)?;
         let plain = self.edges_unfiltered && self.passes_the_end(&numbers);
         let filters = if plain { &[] } else { &self.filters[..] };
-        let all = self.pick.is_all((self.chunk_bytes / self.pick.bytes) as u64);
+        let all = self
+            .pick
+            .is_all((self.chunk_bytes / self.pick.bytes) as u64);
         let mut whole = Vec::new();
         let target = if all { &mut *out } else { &mut whole };
         let failed = |e: crate::codec::CodecError| {

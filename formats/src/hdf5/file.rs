@@ -37,7 +37,11 @@ impl File {
             if here {
                 break;
             }
-            base = if base == 0 { 512 } else { base.saturating_mul(2) };
+            base = if base == 0 {
+                512
+            } else {
+                base.saturating_mul(2)
+            };
             if base >= bytes.len() {
                 return Err(Error::invalid(
                     bytes.name(),
@@ -146,10 +150,15 @@ impl File {
     /// `count` bytes at `address` that describe the file. Structures that refer to each other in
     /// circles, or over and over, end here.
     pub(super) fn describe(&self, address: u64, count: u64) -> Result<Cow<'_, [u8]>, Error> {
-        /// Beyond the file itself: nodes that overlap in a small file are read whole.
+        /// A group is read again for each path through it.
+        const TIMES: u64 = 4;
         const SLACK_BYTES: u64 = 64 << 20;
         let before = self.described.fetch_add(count, Ordering::Relaxed);
-        let most = self.bytes.len().saturating_add(SLACK_BYTES);
+        let most = self
+            .bytes
+            .len()
+            .saturating_mul(TIMES)
+            .saturating_add(SLACK_BYTES);
         if before.saturating_add(count) > most {
             return Err(Error::invalid(
                 self.name(),
@@ -311,17 +320,19 @@ impl<'a> Fields<'a> {
 pub(super) fn checksum(bytes: &[u8]) -> u32 {
     let seed = 0xdead_beef_u32.wrapping_add(bytes.len() as u32);
     let [mut a, mut b, mut c] = [seed; 3];
-    let word = |block: &[u8], i: usize| {
-        (0..4).fold(0, |word, k| {
-            word | u32::from(block.get(4 * i + k).copied().unwrap_or(0)) << (8 * k)
-        })
+    // Bytes beyond the end count as zero.
+    let words = |block: &[u8; 12]| {
+        let (words, _) = block.as_chunks::<4>();
+        [words[0], words[1], words[2]].map(u32::from_le_bytes)
     };
     let mut rest = bytes;
-    while rest.len() > 12 {
-        let (block, tail) = rest.split_at(12);
-        a = a.wrapping_add(word(block, 0));
-        b = b.wrapping_add(word(block, 1));
-        c = c.wrapping_add(word(block, 2));
+    while let Some((block, tail)) = rest.split_first_chunk::<12>()
+        && !tail.is_empty()
+    {
+        let [x, y, z] = words(block);
+        a = a.wrapping_add(x);
+        b = b.wrapping_add(y);
+        c = c.wrapping_add(z);
         for (shift, which) in [(4, 0), (6, 1), (8, 2), (16, 0), (19, 1), (4, 2)] {
             // The roles of the three rotate.
             let (x, y, z) = match which {
@@ -337,9 +348,12 @@ pub(super) fn checksum(bytes: &[u8]) -> u32 {
     if rest.is_empty() {
         return c;
     }
-    a = a.wrapping_add(word(rest, 0));
-    b = b.wrapping_add(word(rest, 1));
-    c = c.wrapping_add(word(rest, 2));
+    let mut last = [0; 12];
+    last[..rest.len()].copy_from_slice(rest);
+    let [x, y, z] = words(&last);
+    a = a.wrapping_add(x);
+    b = b.wrapping_add(y);
+    c = c.wrapping_add(z);
     c = (c ^ b).wrapping_sub(b.rotate_left(14));
     a = (a ^ c).wrapping_sub(c.rotate_left(11));
     b = (b ^ a).wrapping_sub(a.rotate_left(25));

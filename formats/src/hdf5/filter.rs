@@ -214,7 +214,13 @@ fn lzf(data: &[u8], most: usize, out: &mut Vec<u8>) -> Result<(), CodecError> {
             out.extend_from_slice(next(run)?);
             continue;
         }
-        let length = length + 2 + if length == 7 { usize::from(next(1)?[0]) } else { 0 };
+        let length = length
+            + 2
+            + if length == 7 {
+                usize::from(next(1)?[0])
+            } else {
+                0
+            };
         let back = (usize::from(control & 31) << 8 | usize::from(next(1)?[0])) + 1;
         let from = out.len().checked_sub(back).ok_or_else(|| {
             CodecError::damaged(format!(
@@ -244,9 +250,10 @@ fn number<const N: usize>(data: &mut &[u8]) -> Result<usize, CodecError> {
         .split_first_chunk::<N>()
         .ok_or_else(|| CodecError::damaged("the compressed data is cut"))?;
     *data = rest;
-    let value = bytes.iter().fold(0_u64, |n, byte| n << 8 | u64::from(*byte));
-    usize::try_from(value)
-        .map_err(|_| CodecError::damaged(format!("a size of {value} bytes")))
+    let value = bytes
+        .iter()
+        .fold(0_u64, |n, byte| n << 8 | u64::from(*byte));
+    usize::try_from(value).map_err(|_| CodecError::damaged(format!("a size of {value} bytes")))
 }
 
 fn piece<'a>(data: &mut &'a [u8], count: usize) -> Result<&'a [u8], CodecError> {

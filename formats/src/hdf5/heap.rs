@@ -210,7 +210,11 @@ impl<'a> FractalHeap<'a> {
     fn verify(&self, block: u64, size: u64) -> Result<(), Error> {
         let mut bytes = self.file.describe(block, size)?.into_owned();
         let at = 5 + self.file.offset_bytes() + self.offset_bytes;
-        let short = || self.file.fields(block, &[]).invalid("a heap block is too short");
+        let short = || {
+            self.file
+                .fields(block, &[])
+                .invalid("a heap block is too short")
+        };
         let place = bytes.get_mut(at..at + 4).ok_or_else(short)?;
         let mut stored = [0; 4];
         stored.copy_from_slice(place);
@@ -257,7 +261,10 @@ impl<'a> FractalHeap<'a> {
                 (0, 0)
             } else {
                 let row = u64::from((within / first_row).ilog2()) + 1;
-                (row, first_row.checked_shl(row as u32 - 1).ok_or_else(outside)?)
+                (
+                    row,
+                    first_row.checked_shl(row as u32 - 1).ok_or_else(outside)?,
+                )
             };
             let size = self.row_bytes(row);
             if row >= rows || size == 0 {

@@ -371,7 +371,10 @@ impl Array {
         if !bit(&prefix, head, page) {
             return Ok(None);
         }
-        let page_bytes = self.page.saturating_mul(self.entry_bytes as u64).saturating_add(4);
+        let page_bytes = self
+            .page
+            .saturating_mul(self.entry_bytes as u64)
+            .saturating_add(4);
         let address = page
             .checked_mul(page_bytes)
             .and_then(|at| at.checked_add(prefix_bytes.checked_add(4)?.checked_add(block)?))
@@ -418,7 +421,11 @@ impl Array {
             fields.skip(usize::try_from(at).unwrap_or(usize::MAX))?;
             fields.offset()
         };
-        let pages = if size > self.page { size / self.page } else { 0 };
+        let pages = if size > self.page {
+            size / self.page
+        } else {
+            0
+        };
         let (data, written) = if row < growth.rows {
             // Blocks of the rows before.
             let before = (0..row).map(|row| 1_u64 << (row / 2)).sum::<u64>();
@@ -444,7 +451,9 @@ impl Array {
         };
         let head = head + growth.offset_bytes as u64;
         if pages == 0 {
-            let bytes = size.saturating_mul(self.entry_bytes as u64).saturating_add(head);
+            let bytes = size
+                .saturating_mul(self.entry_bytes as u64)
+                .saturating_add(head);
             let whole = file.read(data, bytes.saturating_add(4))?;
             verify(file, data, &whole, "data of an array of chunks")?;
             self.block_head(&mut file.fields(data, &whole), b"EADB")?;
@@ -456,7 +465,10 @@ impl Array {
         let prefix = file.read(data, head + 4)?;
         verify(file, data, &prefix, "data of an array of chunks")?;
         self.block_head(&mut file.fields(data, &prefix), b"EADB")?;
-        let page_bytes = self.page.saturating_mul(self.entry_bytes as u64).saturating_add(4);
+        let page_bytes = self
+            .page
+            .saturating_mul(self.entry_bytes as u64)
+            .saturating_add(4);
         let address = (n / self.page)
             .checked_mul(page_bytes)
             .and_then(|at| at.checked_add(head + 4)?.checked_add(data))
@@ -481,7 +493,11 @@ fn verify(file: &File, address: u64, block: &[u8], what: &str) -> Result<(), Err
 }
 
 /// What both arrays begin with: letters, version, client, bytes of an entry.
-fn array_head(fields: &mut Fields<'_>, letters: &[u8; 4], file: &File) -> Result<(u8, usize), Error> {
+fn array_head(
+    fields: &mut Fields<'_>,
+    letters: &[u8; 4],
+    file: &File,
+) -> Result<(u8, usize), Error> {
     fields.magic(letters)?;
     fields.version("an array of chunks", 0)?;
     let client = fields.u8()?;

@@ -181,11 +181,18 @@ fn enumeration(fields: &mut Fields<'_>, version: u8, count: u16) -> Result<What,
     let mut names = Vec::new();
     for _ in 0..count.min(3) {
         let rest = fields.clone().take(fields.left())?;
-        let length = rest.iter().position(|byte| *byte == 0).unwrap_or(rest.len());
+        let length = rest
+            .iter()
+            .position(|byte| *byte == 0)
+            .unwrap_or(rest.len());
         names.push(rest[..length].to_vec());
         let whole = length + 1;
         // Names of old versions fill up to eight bytes.
-        fields.skip(if version < 3 { whole.div_ceil(8) * 8 } else { whole })?;
+        fields.skip(if version < 3 {
+            whole.div_ceil(8) * 8
+        } else {
+            whole
+        })?;
     }
     let values = fields.clone().take(usize::from(count).min(fields.left()))?;
     let boolean = names == [b"FALSE".to_vec(), b"TRUE".to_vec()] && values == [0, 1];
@@ -402,10 +409,16 @@ pub(super) fn filters(message: &Message, file: &File) -> Result<Vec<Filter>, Err
         };
         fields.skip(2)?;
         let values = fields.u16()?;
-        fields.skip(if version == 1 { name_bytes.div_ceil(8) * 8 } else { name_bytes })?;
+        fields.skip(if version == 1 {
+            name_bytes.div_ceil(8) * 8
+        } else {
+            name_bytes
+        })?;
         let filter = Filter {
             id,
-            values: (0..values).map(|_| fields.u32()).collect::<Result<_, _>>()?,
+            values: (0..values)
+                .map(|_| fields.u32())
+                .collect::<Result<_, _>>()?,
         };
         if version == 1 && values % 2 == 1 {
             fields.skip(4)?;
@@ -429,7 +442,11 @@ pub(super) fn fill(file: &File, object: &Object, bytes: usize) -> Result<[u8; 8]
             3 => fields.u8()? & 0x20 != 0,
             _ => return Err(fields.unsupported(format!("version {version} of a fill value"))),
         };
-        if defined { sized(&mut fields)? } else { Vec::new() }
+        if defined {
+            sized(&mut fields)?
+        } else {
+            Vec::new()
+        }
     } else if let Some(message) = object.first(file, kind::OLD_FILL)? {
         sized(&mut message.fields(file))?
     } else {
@@ -479,9 +496,20 @@ pub(super) fn attribute<'a>(
     let (type_address, type_bytes) = part(sizes[1])?;
     let (space_address, space_bytes) = part(sizes[2])?;
     let name = name.split(|byte| *byte == 0).next().unwrap_or_default();
-    let datatype = read_or_shared(file, type_address, type_bytes, kind::DATATYPE, flags & 1 != 0)?;
-    let dataspace =
-        read_or_shared(file, space_address, space_bytes, kind::DATASPACE, flags & 2 != 0)?;
+    let datatype = read_or_shared(
+        file,
+        type_address,
+        type_bytes,
+        kind::DATATYPE,
+        flags & 1 != 0,
+    )?;
+    let dataspace = read_or_shared(
+        file,
+        space_address,
+        space_bytes,
+        kind::DATASPACE,
+        flags & 2 != 0,
+    )?;
     Ok((
         String::from_utf8_lossy(name).into_owned(),
         Datatype::read(&mut datatype.fields(file))?,

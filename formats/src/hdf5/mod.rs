@@ -4,15 +4,14 @@
 //! not (MATLAB 7.3); groups of both kinds, in headers and in heaps, and soft links; datasets of
 //! integers, IEEE numbers (also half precision) and h5py's `bool` in either byte order, compact,
 //! contiguous or in chunks by any of the six indexes; the filters of [`filter`]; fill values;
-//! attributes. The conventions of Imaris, BigDataViewer, MINC 2, Data Exchange and NeXus, and
-//! sizes of voxels as Fiji and ilastik write them.
+//! attributes. The conventions of Imaris, BigDataViewer, MINC 2 (scaled, plane by plane if the file
+//! says so), Data Exchange and NeXus, and sizes of voxels as Fiji and ilastik write them.
 //!
 //! Guaranteed: what has a checksum is verified; sizes and places are checked against the file
 //! before use; structures that refer to each other in circles are an error; memory is a chunk and
 //! its compressed bytes, however many chunks there are; threads share nothing that waits. Refused
 //! by name: external and virtual datasets, links to other files, other filters (szip, n-bit,
-//! scale-offset, Blosc 2, zfp), values that are not numbers, MINC volumes scaled plane by plane.
-//! Not read: messages shared through a heap of the file, compressed heaps, attributes above
+//! scale-offset, Blosc 2, zfp), values that are not numbers. Not read: messages shared through a heap of the file, compressed heaps, attributes above
 //! 64 KiB.
 //!
 //! The reader is our own. Crates were measured on 95 files of h5py and on copies with a few wrong
@@ -47,17 +46,22 @@ mod message;
 
 mod object;
 
+mod scaled;
+
 mod world;
 
 use std::sync::Arc;
 
 use crate::bytes::FileBytes;
+use crate::chunked::ChunkedVoxels;
 use crate::error::Error;
+use crate::header::DType;
 use crate::parsed::Context;
 use crate::volume::{Volume, Voxels};
 
 use choose::{Choice, select};
 use file::File;
+use scaled::ScaledPlanes;
 
 /// Opens the volume of a file.
 pub(crate) fn read(bytes: FileBytes, context: &Context<'_>) -> Result<Volume, Error> {
@@ -74,8 +78,24 @@ pub(crate) fn read(bytes: FileBytes, context: &Context<'_>) -> Result<Volume, Er
     let letters = own.text("axistags").map(|tags| axis_letters(&tags));
     let selection = select(&choice, &chosen, letters.as_deref())?;
     let mut header = dataset.header(&file, &selection)?;
-    world::describe(&choice, dataset, &own, &selection, &mut header)?;
-    let voxels = dataset.voxels(&file, &selection, &mut header)?;
+    let scales = world::describe(&choice, dataset, &own, &selection, &mut header)?;
+    let mut voxels = dataset.voxels(&file, &selection, &mut header)?;
+    if let Some(scales) = scales {
+        let scaled = ScaledPlanes::new(voxels, header.dtype(), header.dims, scales);
+        let dtype = DType::little(scaled.voxel());
+        header.details.push((
+            "values",
+            format!("{}, each plane with its scale", header.dtype()),
+        ));
+        (header.voxel, header.byte_order) = (dtype.voxel, dtype.byte_order);
+        let chunk = scaled.chunk();
+        voxels = Box::new(ChunkedVoxels::new(
+            context.name,
+            &header,
+            chunk,
+            Box::new(scaled),
+        ));
+    }
     file.bytes().check()?;
     Ok(Volume {
         header,

@@ -220,7 +220,10 @@ fn read_v2(file: &File, address: u64, out: &mut Vec<Message>) -> Result<(), Erro
             fields.skip(order)?;
             message(file, &mut fields, kind, size, flags, &mut blocks, out)?;
         }
-        next = blocks.todo.pop().map(|(address, length)| (address, length, 4));
+        next = blocks
+            .todo
+            .pop()
+            .map(|(address, length)| (address, length, 4));
     }
     Ok(())
 }

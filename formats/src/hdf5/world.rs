@@ -11,30 +11,34 @@ use super::dataset::{Dataset, Selection};
 use crate::error::Error;
 use crate::header::{Header, Scaling, Unit};
 
-/// Fills the header.
+/// Fills the header. What comes back is a scale for each plane, where these differ, or one
+/// for all that a header cannot have.
 pub(super) fn describe(
     choice: &Choice<'_>,
     dataset: &Dataset,
     own: &Attributes,
     selection: &Selection,
     header: &mut Header,
-) -> Result<(), Error> {
+) -> Result<Option<Vec<Scaling>>, Error> {
     let parts: Vec<_> = dataset.path.trim_matches('/').split('/').collect();
     match parts.as_slice() {
         [image, level, time, channel, "Data"] if image.starts_with("DataSet") => {
             let info = image.replacen("DataSet", "DataSetInfo", 1);
             let group = format!("/{image}/{level}/{time}/{channel}");
-            return imaris(choice, &format!("/{info}/Image"), &group, header);
+            imaris(choice, &format!("/{info}/Image"), &group, header)?;
+            return Ok(None);
         }
         ["minc-2.0", "image", level, "image"] => {
-            return minc(choice, dataset, own, level, header);
+            minc(choice, dataset, own, header)?;
+            return scaling(choice, own, level, header);
         }
         _ => {}
     }
     if sizes(own, dataset, selection, header) {
-        return Ok(());
+        return Ok(None);
     }
-    nexus(choice, dataset, own, selection, header)
+    nexus(choice, dataset, own, selection, header)?;
+    Ok(None)
 }
 
 fn positive(spacing: [f64; 3]) -> bool {
@@ -43,17 +47,16 @@ fn positive(spacing: [f64; 3]) -> bool {
 
 /// Sizes of a voxel as an attribute of the dataset, in the order of its axes. Whether there is
 /// one that can be used.
-fn sizes(
-    own: &Attributes,
-    dataset: &Dataset,
-    selection: &Selection,
-    header: &mut Header,
-) -> bool {
+fn sizes(own: &Attributes, dataset: &Dataset, selection: &Selection, header: &mut Header) -> bool {
     let [z, y, x] = selection.volume;
     // Along x, y, z, from a value for each axis of the dataset or of the volume.
     let ordered = |values: &[f64]| {
         let at = |axis: Option<usize>, n: usize| {
-            let axis = if values.len() == dataset.dims.len() { axis } else { Some(n) };
+            let axis = if values.len() == dataset.dims.len() {
+                axis
+            } else {
+                Some(n)
+            };
             axis.and_then(|axis| values.get(axis).copied())
         };
         match values.len() {
@@ -68,10 +71,15 @@ fn sizes(
         let unit = if name == "element_size_um" {
             Some(Unit::Micrometre)
         } else {
-            [format!("{name}_unit"), format!("{name}_units"), "unit".into(), "units".into()]
-                .iter()
-                .find_map(|name| own.texts(name)?.first()?.trim().parse().ok())
-                .filter(|unit| *unit != Unit::Unknown)
+            [
+                format!("{name}_unit"),
+                format!("{name}_units"),
+                "unit".into(),
+                "units".into(),
+            ]
+            .iter()
+            .find_map(|name| own.texts(name)?.first()?.trim().parse().ok())
+            .filter(|unit| *unit != Unit::Unknown)
         };
         match (ordered(&values).filter(|spacing| positive(*spacing)), unit) {
             (Some(spacing), Some(unit)) => {
@@ -113,7 +121,9 @@ fn nexus(
     let names: Vec<String> = match names.as_slice() {
         [one] => {
             let one = one.trim_matches(['[', ']']);
-            one.split([':', ',']).map(|name| name.trim().to_owned()).collect()
+            one.split([':', ','])
+                .map(|name| name.trim().to_owned())
+                .collect()
         }
         _ => names,
     };
@@ -131,7 +141,10 @@ fn nexus(
             return Ok(());
         };
         let unit = positions.attributes(choice.file)?.text("units");
-        units.push(unit.and_then(|unit| unit.trim().parse().ok()).unwrap_or(Unit::Unknown));
+        units.push(
+            unit.and_then(|unit| unit.trim().parse().ok())
+                .unwrap_or(Unit::Unknown),
+        );
         let values = positions.values(choice.file)?.unwrap_or_default();
         let Some((start, step)) = regular(&values, header.dims[a]) else {
             header.warnings.push(format!(
@@ -174,12 +187,7 @@ fn regular(values: &[f64], count: u64) -> Option<(f64, f64)> {
 }
 
 /// Imaris: extents of the whole image; chunks fill it up, and the size is an attribute.
-fn imaris(
-    choice: &Choice<'_>,
-    info: &str,
-    group: &str,
-    header: &mut Header,
-) -> Result<(), Error> {
+fn imaris(choice: &Choice<'_>, info: &str, group: &str, header: &mut Header) -> Result<(), Error> {
     let size = choice.attributes(group)?;
     let info = choice.attributes(info)?;
     for (a, axis) in ["X", "Y", "Z"].into_iter().enumerate() {
@@ -227,15 +235,19 @@ fn minc(
     choice: &Choice<'_>,
     dataset: &Dataset,
     own: &Attributes,
-    level: &str,
     header: &mut Header,
 ) -> Result<(), Error> {
-    let order = own.text("dimorder").unwrap_or_else(|| "zspace,yspace,xspace".into());
+    let order = own
+        .text("dimorder")
+        .unwrap_or_else(|| "zspace,yspace,xspace".into());
     let names: Vec<_> = order.split(',').map(str::trim).collect();
     if names.len() != dataset.dims.len() {
         return Err(Error::invalid(
             choice.file.name(),
-            format!("dimorder '{order}' of a dataset of extents {:?}", dataset.dims),
+            format!(
+                "dimorder '{order}' of a dataset of extents {:?}",
+                dataset.dims
+            ),
         ));
     }
     let mut starts = [0.0; 3];
@@ -271,7 +283,10 @@ fn minc(
         if !sound || !starts[a].is_finite() {
             return Err(Error::invalid(
                 choice.file.name(),
-                format!("{path} has step {}, start {} and cosines {cosines:?}", steps[a], starts[a]),
+                format!(
+                    "{path} has step {}, start {} and cosines {cosines:?}",
+                    steps[a], starts[a]
+                ),
             ));
         }
         for row in 0..3 {
@@ -295,27 +310,40 @@ fn minc(
     } else {
         header.unit = Unit::Unknown;
     }
-    scaling(choice, own, level, header)
+    Ok(())
 }
 
-/// Stored values of MINC lie in `valid_range`, and mean `image-min` to `image-max`, of each plane.
+/// Stored values of MINC lie in `valid_range`, and mean `image-min` to `image-max`, of the volume or
+/// of each plane.
 fn scaling(
     choice: &Choice<'_>,
     own: &Attributes,
     level: &str,
     header: &mut Header,
-) -> Result<(), Error> {
+) -> Result<Option<Vec<Scaling>>, Error> {
     if header.voxel.is_float() {
-        return Ok(());
+        return Ok(None);
     }
+    let planes = header.dims[2];
     let values = |name: &str| -> Result<Option<Vec<f64>>, Error> {
-        match choice.dataset(&format!("/minc-2.0/image/{level}/{name}"))? {
-            Some(dataset) => dataset.values(choice.file),
-            None => Ok(None),
+        let path = format!("/minc-2.0/image/{level}/{name}");
+        let Some(dataset) = choice.dataset(&path)? else {
+            return Ok(None);
+        };
+        let found = dataset.values(choice.file)?.unwrap_or_default();
+        if found.len() as u64 == planes || found.len() == 1 {
+            return Ok(Some(found));
         }
+        Err(Error::unsupported(
+            choice.file.name(),
+            format!(
+                "{} scales the values; 1 value or {planes}, one a plane, are read here",
+                dataset.describe()
+            ),
+        ))
     };
     let (Some(low), Some(high)) = (values("image-min")?, values("image-max")?) else {
-        return Ok(());
+        return Ok(None);
     };
     let bits = 8 * header.voxel.bytes() as i32;
     let usual = match header.voxel.name().starts_with('i') {
@@ -327,19 +355,34 @@ fn scaling(
         Some([a, b]) if b < a => (*b, *a),
         _ => usual,
     };
-    let same = |values: &[f64]| values.iter().all(|value| *value == values[0]);
-    if !same(&low) || !same(&high) {
-        return Err(Error::unsupported(
+    // A single value is that of all planes.
+    let of = |values: &[f64], n: usize| values.get(n).or(values.first()).copied().unwrap_or(0.0);
+    let scales: Vec<_> = (0..low.len().max(high.len()))
+        .map(|n| {
+            let slope = (of(&high, n) - of(&low, n)) / (range.1 - range.0);
+            let intercept = of(&low, n) - slope * range.0;
+            Scaling { slope, intercept }
+        })
+        .collect();
+    if let Some(odd) = scales
+        .iter()
+        .find(|s| !s.slope.is_finite() || !s.intercept.is_finite())
+    {
+        return Err(Error::invalid(
             choice.file.name(),
-            "each plane of this MINC volume has its own scale (image-min, image-max): write it \
-             with one scale, or as floating-point numbers, with mincreshape",
+            format!("image-min and image-max of the MINC volume give the scale {odd:?}"),
         ));
     }
-    let slope = (high[0] - low[0]) / (range.1 - range.0);
-    let intercept = low[0] - slope * range.0;
-    let identity = slope == 1.0 && intercept == 0.0;
-    if slope.is_finite() && intercept.is_finite() && slope != 0.0 && !identity {
-        header.scaling = Some(Scaling { slope, intercept });
+    let Some((first, rest)) = scales.split_first() else {
+        return Ok(None);
+    };
+    let same = rest.iter().all(|scale| scale == first);
+    // A plane of one value has slope 0, which only a scale for each plane can have.
+    if !same || first.slope == 0.0 {
+        return Ok(Some(scales));
     }
-    Ok(())
+    if first.slope != 1.0 || first.intercept != 0.0 {
+        header.scaling = Some(*first);
+    }
+    Ok(None)
 }
