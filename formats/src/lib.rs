@@ -56,6 +56,9 @@ mod error;
 
 mod forward;
 
+#[cfg(feature = "hdf5")]
+mod hdf5;
+
 mod header;
 
 mod input;
