@@ -64,3 +64,7 @@ mod npz;
 
 /// Figures, not checks: run with `--release -- --ignored --nocapture speed`.
 mod speed;
+
+/// HDF5 and what is kept in it.
+#[cfg(feature = "hdf5")]
+mod hdf5;

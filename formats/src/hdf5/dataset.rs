@@ -17,7 +17,8 @@ use crate::chunked::{ChunkedVoxels, Chunks};
 use crate::codec::exactly;
 use crate::error::Error;
 use crate::header::{DType, Format, Header};
-use crate::stored::{AxisOrder, StoredVoxels};
+use crate::order::AxisOrder;
+use crate::stored::StoredVoxels;
 use crate::volume::RandomVoxels;
 
 /// A dataset whose voxels are not looked at yet.
@@ -214,8 +215,7 @@ impl Dataset {
         let start = selection.start(&strides);
         let [nx, ny, _] = header.dims;
         let [z, y, x] = selection.strides(&strides);
-        // An axis that is missing has one plane, and any stride.
-        if x == 1 && (y == nx || ny == 1) && (z == nx * ny || header.dims[2] == 1) {
+        if let Some(order) = plain_order(header.dims, [x, y, z]) {
             let offset = place + start * bytes as u64;
             let bytes = file.bytes().clone();
             return Ok(Box::new(StoredVoxels::new(
@@ -223,7 +223,7 @@ impl Dataset {
                 file.name(),
                 offset,
                 header,
-                AxisOrder::XFastest,
+                order,
             )));
         }
         let planes = Planes {
@@ -350,6 +350,23 @@ fn strides(dims: &[u64]) -> Vec<u64> {
         strides[axis - 1] = strides[axis] * dims[axis];
     }
     strides
+}
+
+/// The order of the axes of voxels that lie one behind the other, if they do; strides are along x,
+/// y, z, and that of an axis of extent 1 does not count.
+fn plain_order(dims: [u64; 3], strides: [u64; 3]) -> Option<AxisOrder> {
+    let orders = [
+        [0, 1, 2],
+        [0, 2, 1],
+        [1, 0, 2],
+        [1, 2, 0],
+        [2, 0, 1],
+        [2, 1, 0],
+    ];
+    orders.into_iter().map(AxisOrder::of).find(|order| {
+        let plain = order.strides(dims);
+        (0..3).all(|a| dims[a] == 1 || plain[a] == strides[a])
+    })
 }
 
 /// Which part of a dataset is the volume.
