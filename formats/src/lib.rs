@@ -33,6 +33,8 @@
 // Without the SIGBUS guard some helpers of the map have no use.
 #![cfg_attr(not(unix), allow(dead_code))]
 
+mod codec;
+
 pub mod conformance;
 
 mod bytes;
