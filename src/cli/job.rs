@@ -74,7 +74,7 @@ impl JobArgs {
         let lattice = input::lattice(&volume, self.method.closed)?;
         // Mistakes of the command line are found before a long pass over the data.
         let method = self.method.resolve(&lattice, volume.header.unit)?;
-        let inside = self.criterion.inside(volume.header.voxel, &self.input)?;
+        let inside = self.criterion.inside(&volume.header, &self.input)?;
         let by_label = matches!(inside, Inside::Given(Criterion::Label(_)));
         if by_label && matches!(method.estimator, Estimator::Gradient { .. }) {
             return Err(usage(
@@ -116,7 +116,9 @@ impl JobArgs {
                 .build_global();
         }
         let buffered = matches!(volume.voxels, Voxels::Forward(_)) || !volume.source.mapped;
-        let plan = settings.plan(volume.header.voxel.bytes() as u64, buffered, sink_bytes)?;
+        // What the reader keeps is held as long as what the sinks keep.
+        let held_bytes = sink_bytes.saturating_add(volume.source.held_bytes);
+        let plan = settings.plan(volume.header.voxel.bytes() as u64, buffered, held_bytes)?;
         let (criterion, otsu) = match inside {
             Inside::Given(criterion) => (criterion, None),
             Inside::Otsu => {

@@ -166,6 +166,8 @@ fn as_json(job: &Job, surfels: Option<u64>, target: Option<&Target>) -> Value {
             "unit": job.info.unit,
             "mapped": job.volume.source.mapped,
             "compressed": job.volume.source.compressed,
+            "held_bytes": job.volume.source.held_bytes,
+            "copied_bytes": job.volume.source.spilled_bytes,
         },
         "parameters": job.info.parameters,
         "radii": job.info.radii,
@@ -208,6 +210,13 @@ fn write_text(
         header.format,
         header.dtype()
     )?;
+    if source.spilled_bytes > 0 {
+        writeln!(
+            out,
+            "copy       {} on disk, for the format is not read front to back",
+            sizes::show(source.spilled_bytes)
+        )?;
+    }
     writeln!(out, "voxels     {x} x {y} x {z} = {}", sizes::count(voxels))?;
     let [sx, sy, sz] = job.info.spacing;
     writeln!(out, "voxel      {sx} x {sy} x {sz} {}", job.info.unit)?;
@@ -240,7 +249,7 @@ fn write_text(
         sizes::show(plan.memory_bytes)
     )?;
     for (what, bytes) in [
-        ("program and sinks", plan.fixed_bytes),
+        ("program, reader, sinks", plan.fixed_bytes),
         ("read buffer", plan.read_bytes),
         ("bits and indices", plan.bits_bytes),
         ("grey values", plan.grey_bytes),
@@ -250,7 +259,7 @@ fn write_text(
         if bytes == 0 && what == "grey values" {
             continue;
         }
-        writeln!(out, "             {what:<20} {:>12}", sizes::show(bytes))?;
+        writeln!(out, "             {what:<22} {:>12}", sizes::show(bytes))?;
     }
     writeln!(
         out,
