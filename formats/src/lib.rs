@@ -75,6 +75,8 @@ mod stored;
 
 mod stream;
 
+mod vdb;
+
 mod vol;
 
 mod volume;

@@ -13,7 +13,7 @@ use crate::input::Input;
 use crate::options::OpenOptions;
 use crate::parsed::{Context, Parsed};
 use crate::volume::Volume;
-use crate::{nifti, npy, raw, vol};
+use crate::{nifti, npy, raw, vdb, vol};
 
 /// What there is to know about a format before a file is opened.
 #[derive(Clone, Copy, Debug)]
@@ -60,6 +60,11 @@ const NONE: Choices = Choices {
 
 const FRAME: Choices = Choices {
     frame: true,
+    ..NONE
+};
+
+const DATASET: Choices = Choices {
+    dataset: true,
     ..NONE
 };
 
@@ -138,6 +143,17 @@ static FORMATS: &[FormatInfo] = &[
         choices: NONE,
         missing_feature: None,
     },
+    FormatInfo {
+        format: Format::Vdb,
+        names: &["vdb", "openvdb"],
+        title: "OpenVDB",
+        extensions: ".vdb",
+        variants: "versions 213 to 225; grids of numbers, bool and mask; none, zip, Blosc, active \
+                   mask, half; affine transforms; streams",
+        forward: false,
+        choices: DATASET,
+        missing_feature: None,
+    },
 ];
 
 /// How the voxels of a file are found.
@@ -187,6 +203,11 @@ pub(crate) static READERS: &[Entry] = &[
         format: Format::Longvol,
         detect: |head| vol::detect(head) == Some(Format::Longvol),
         reader: Reader::Header(vol::parse),
+    },
+    Entry {
+        format: Format::Vdb,
+        detect: vdb::detect,
+        reader: Reader::Bytes(vdb::open),
     },
     Entry {
         format: Format::Raw,

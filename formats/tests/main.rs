@@ -32,6 +32,9 @@ mod mutation;
 /// Meshes: every form of OBJ, PLY and STL, and damage to them.
 mod meshes;
 
+/// OpenVDB grids.
+mod vdb;
+
 /// Files that change while they are mapped.
 mod guard;
 
