@@ -153,6 +153,9 @@ pub(super) struct Metadata {
     pub(super) class: String,
     /// The program that made the grid.
     pub(super) creator: String,
+    /// Real numbers are stored as half floats. The type of the grid says so, too, but this is
+    /// what OpenVDB goes by.
+    pub(super) half: bool,
 }
 
 impl Metadata {
@@ -166,17 +169,18 @@ impl Metadata {
             let name = cursor.string(WHAT)?;
             let kind = cursor.string(WHAT)?;
             let bytes = cursor.u32(WHAT)?;
-            let field = match (name.as_str(), kind.as_str()) {
-                ("class", "string") => &mut found.class,
-                ("creator", "string") => &mut found.creator,
-                _ => {
-                    cursor.skip(u64::from(bytes), WHAT)?;
-                    continue;
-                }
-            };
-            cursor.expect(u64::from(bytes), WHAT)?;
-            let text = cursor.take(bytes as usize, WHAT)?;
-            *field = plain(&String::from_utf8_lossy(text));
+            let wanted = matches!(name.as_str(), "class" | "creator" | "is_saved_as_half_float");
+            if !wanted {
+                cursor.skip(u64::from(bytes), WHAT)?;
+                continue;
+            }
+            let value = cursor.take(bytes as usize, WHAT)?;
+            match (name.as_str(), kind.as_str()) {
+                ("class", "string") => found.class = plain(&String::from_utf8_lossy(value)),
+                ("creator", "string") => found.creator = plain(&String::from_utf8_lossy(value)),
+                ("is_saved_as_half_float", _) => found.half = value.iter().any(|byte| *byte != 0),
+                _ => {}
+            }
         }
         Ok(found)
     }

@@ -4,7 +4,7 @@
 //! file only the grid that is chosen is read; a stream is walked over from grid to grid, as far
 //! as their ends can be found.
 
-use super::archive::{Compression, Descriptor, FileHeader, Metadata, version};
+use super::archive::{Descriptor, FileHeader, Metadata, version};
 use super::cursor::Cursor;
 use super::transform::{self, Transform};
 use super::tree::{Tree, TreeReader};
@@ -211,7 +211,7 @@ fn contents(
     header: &FileHeader,
     grid: &Descriptor,
 ) -> Result<Contents, Error> {
-    let compression: Compression = header.compression(cursor)?;
+    let compression = header.compression(cursor)?;
     let metadata = Metadata::read(cursor)?;
     // Old files have the transform between the nodes of the tree and the values of its leaves.
     let transform_first = header.version >= version::INSTANCES;
@@ -219,7 +219,7 @@ fn contents(
     if transform_first {
         transform = Some(transform::read(cursor, header.version)?);
     }
-    let layout = Layout::new(&grid.kind, compression, header.version);
+    let layout = Layout::new(&grid.kind, metadata.half, compression, header.version);
     let tree = match layout {
         Some(layout) if !grid.is_instance() => {
             let decoder = Decoder::new(layout, Value::default());

@@ -59,8 +59,9 @@ pub(super) enum Content {
 pub(super) struct Kind {
     /// As written in the file: `Tree_float_5_4_3`.
     pub(super) tree: String,
-    /// Real numbers are stored as half floats.
-    pub(super) half: bool,
+    /// The list of grids says that real numbers are stored as half floats. How they are stored is
+    /// said by the metadata of the grid.
+    half: bool,
     pub(super) content: Content,
 }
 
@@ -77,7 +78,7 @@ impl Kind {
         };
         Self {
             tree: tree.to_owned(),
-            half: half && !matches!(value_name(tree), "half"),
+            half,
             content,
         }
     }
@@ -111,14 +112,6 @@ impl Kind {
             _ => return Content::Opaque("values of an unknown type"),
         };
         Content::Scalar(voxel, Leaf::Values)
-    }
-
-    /// The type of the voxels, if they are numbers.
-    pub(super) fn voxel(&self) -> Option<VoxelType> {
-        match self.content {
-            Content::Scalar(voxel, _) => Some(voxel),
-            _ => None,
-        }
     }
 
     /// Short description for lists: `float`, `float as half`, `vec3s`.
@@ -173,13 +166,19 @@ pub(super) struct Layout {
 }
 
 impl Layout {
-    /// How a grid of this kind is stored; `None` if that is not known.
-    pub(super) fn new(kind: &Kind, compression: Compression, file_version: u32) -> Option<Self> {
+    /// How a grid of this kind is stored, real numbers as halves or not; `None` if that is not
+    /// known.
+    pub(super) fn new(
+        kind: &Kind,
+        half: bool,
+        compression: Compression,
+        file_version: u32,
+    ) -> Option<Self> {
         let (voxel, leaf, bytes, half_bytes) = match kind.content {
             Content::Scalar(voxel, leaf) => {
                 let bytes = voxel.bytes();
-                let half = if voxel.is_float() { 2 } else { bytes };
-                (Some(voxel), leaf, bytes, half)
+                let half_bytes = if voxel.is_float() { 2 } else { bytes };
+                (Some(voxel), leaf, bytes, half_bytes)
             }
             Content::Vector(bytes, half) => (None, Leaf::Values, bytes, half),
             Content::Opaque(_) => return None,
@@ -188,7 +187,7 @@ impl Layout {
             voxel,
             leaf,
             bytes,
-            stored: if kind.half { half_bytes } else { bytes },
+            stored: if half { half_bytes } else { bytes },
             compression,
             version: file_version,
         })

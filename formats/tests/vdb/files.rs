@@ -57,8 +57,8 @@ const FACTS: &[Facts] = &[
     ("formats/head-ct/half.vdb", 0, 322_338, [62, 65, 95], [1, 0, -1], "88f057e7c0bbdbeb"),
     ("formats/head-ct/int32.vdb", 0, 322_338, [62, 65, 95], [1, 0, -1], "140130778b56e1e4"),
     ("formats/head-ct/mask.vdb", 0, 322_338, [62, 65, 95], [1, 0, -1], "950fa050e0d552d0"),
-    ("formats/head-ct/multi.vdb", 0, 322_338, [62, 65, 95], [1, 0, -1], "950fa050e0d552d0"),
-    ("formats/head-ct/multi.vdb", 1, 0, [1, 1, 1], [0, 0, 0], "df3f619804a92fdb"),
+    ("formats/head-ct/multi.vdb", 2, 322_338, [62, 65, 95], [1, 0, -1], "950fa050e0d552d0"),
+    ("formats/head-ct/multi.vdb", 0, 0, [1, 1, 1], [0, 0, 0], "df3f619804a92fdb"),
     ("formats/head-ct/none.vdb", 0, 322_338, [62, 65, 95], [1, 0, -1], "950fa050e0d552d0"),
     ("formats/head-ct/zip.vdb", 0, 322_338, [62, 65, 95], [1, 0, -1], "950fa050e0d552d0"),
 ];
