@@ -10,7 +10,7 @@ use crate::parsed::Context;
 use crate::registry::{READERS, formats};
 
 /// Formats that are recognised in order to be refused by name: (offset, magic, name).
-const OTHER_FORMATS: [(usize, &[u8], &str); 25] = [
+const OTHER_FORMATS: [(usize, &[u8], &str); 24] = [
     // Before TIFF: the preamble of a DICOM file may hold a TIFF header.
     (128, b"DICM", "DICOM"),
     (0, b"II*\0", "TIFF"),
@@ -19,7 +19,6 @@ const OTHER_FORMATS: [(usize, &[u8], &str); 25] = [
     (0, b"MM\0+", "BigTIFF"),
     (0, b"NRRD0", "NRRD"),
     (0, b"\x89HDF\r\n\x1a\n", "HDF5 (or MINC 2)"),
-    (0, b" BDV", "OpenVDB"),
     (0, b"PK\x03\x04", "zip (or .npz)"),
     (0, b"ObjectType", "MetaImage"),
     (0, b"NDims", "MetaImage"),

@@ -154,6 +154,20 @@ static FORMATS: &[FormatInfo] = &[
         choices: DATASET,
         missing_feature: None,
     },
+    FormatInfo {
+        format: Format::VdbRs,
+        names: &["vdb-rs"],
+        title: "OpenVDB by vdb-rs",
+        extensions: ".vdb",
+        variants: "a second reader, only when asked for: float and int32, background 0, no stream, \
+                   scale and translation; the rest is refused",
+        forward: false,
+        choices: DATASET,
+        #[cfg(feature = "vdb-rs")]
+        missing_feature: None,
+        #[cfg(not(feature = "vdb-rs"))]
+        missing_feature: Some("vdb-rs"),
+    },
 ];
 
 /// How the voxels of a file are found.
@@ -208,6 +222,12 @@ pub(crate) static READERS: &[Entry] = &[
         format: Format::Vdb,
         detect: vdb::detect,
         reader: Reader::Bytes(vdb::open),
+    },
+    #[cfg(feature = "vdb-rs")]
+    Entry {
+        format: Format::VdbRs,
+        detect: |_| false,
+        reader: Reader::Bytes(vdb::vdb_rs::open),
     },
     Entry {
         format: Format::Raw,

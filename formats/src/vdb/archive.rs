@@ -8,8 +8,8 @@ use super::cursor::Cursor;
 use super::values::Kind;
 use crate::error::Error;
 
-/// The first four bytes of a file; four bytes 0 follow.
-pub(super) const MAGIC: &[u8] = b" BDV\0\0\0\0";
+/// The first bytes of a file.
+const MAGIC: &[u8] = b" BDV\0\0\0\0";
 
 /// The oldest version read: the first whose root is a map.
 const OLDEST: u32 = 213;
@@ -218,6 +218,9 @@ pub(super) struct Descriptor {
     parent: String,
     /// Offset of the grid itself, which begins with its compression flags.
     pub(super) start: u64,
+    /// Offset of the values of its leaves, as the file says; it is where the topology ends.
+    #[cfg(feature = "vdb-rs")]
+    pub(super) leaves: i64,
     /// Offset of the next descriptor.
     pub(super) end: u64,
 }
@@ -270,6 +273,8 @@ impl Descriptor {
             kind,
             parent,
             start,
+            #[cfg(feature = "vdb-rs")]
+            leaves: places[1],
             end,
         })
     }
@@ -282,6 +287,12 @@ impl Descriptor {
     /// Name of the grid that no other grid of the file has: `density`, or `density[1]`.
     pub(super) fn unique_name(&self) -> String {
         numbered(&self.unique)
+    }
+
+    /// The unique name as it is in the file.
+    #[cfg(feature = "vdb-rs")]
+    pub(super) fn raw_name(&self) -> &str {
+        &self.unique
     }
 
     /// Whether the tree is that of another grid.

@@ -86,6 +86,12 @@ impl<'a> Grids<'a> {
         Ok(list)
     }
 
+    /// All grids that could be listed.
+    #[cfg(feature = "vdb-rs")]
+    pub(super) fn all(&self) -> &[Descriptor] {
+        &self.grids
+    }
+
     /// Name and kind of each grid, for people.
     pub(super) fn list(&self) -> String {
         let names = self.grids.iter().take(MOST_NAMES);

@@ -27,8 +27,8 @@
 //! sizes; their values are decoded when a box needs them. Work follows the nodes there are, not
 //! the box around them.
 //!
-//! The crate `vdb-rs` does less than this and does some of it wrong (see the feature of that
-//! name), and OpenVDB itself is a C++ library, so the reader is our own.
+//! The crate `vdb-rs` does less than this and does some of it wrong (its page here, behind the
+//! feature of that name, says what), and OpenVDB itself is a C++ library, so the reader is our own.
 
 mod archive;
 
@@ -42,6 +42,9 @@ mod tree;
 
 mod values;
 
+#[cfg(feature = "vdb-rs")]
+pub(crate) mod vdb_rs;
+
 mod voxels;
 
 use std::ops::Range;
@@ -51,19 +54,33 @@ use crate::error::Error;
 use crate::header::{Content, DType, Format, Header, VoxelType};
 use crate::parsed::Context;
 use crate::volume::{Volume, Voxels};
+use archive::Codec;
 use grids::{Grid, Grids};
 use tree::Tree;
 use voxels::VdbVoxels;
 
-/// Whether content begins like a file of this format.
+/// Whether content begins like a file of this format. The zeros behind the letters are left to
+/// the reader, which can say what is wrong with them.
 pub(crate) fn detect(head: &[u8]) -> bool {
-    head.starts_with(archive::MAGIC)
+    head.starts_with(b" BDV")
 }
 
 /// Opens a grid of the file.
 pub(crate) fn open(file: FileBytes, context: &Context<'_>) -> Result<Volume, Error> {
+    let (header, voxels) = read(&file, context)?;
+    let mut source = file.source();
+    source.compressed = voxels.layout.compression.codec != Codec::None;
+    Ok(Volume {
+        header,
+        voxels: Voxels::Random(Box::new(voxels)),
+        source,
+    })
+}
+
+/// Reads a grid, all but the values of its leaves.
+fn read(file: &FileBytes, context: &Context<'_>) -> Result<(Header, VdbVoxels), Error> {
     let name = context.name;
-    let grids = Grids::read(&file)?;
+    let grids = Grids::read(file)?;
     let chosen = grids.choose(context.options.dataset.as_deref())?;
     let Grid {
         metadata,
@@ -99,19 +116,14 @@ pub(crate) fn open(file: FileBytes, context: &Context<'_>) -> Result<Volume, Err
         .warnings
         .extend(unlisted.map(|reason| format!("{name}: {reason}")));
     file.check()?;
-    let mut source = file.source();
-    source.compressed = layout.compression.codec != archive::Codec::None;
-    Ok(Volume {
-        header,
-        voxels: Voxels::Random(Box::new(VdbVoxels {
-            file,
-            tree,
-            layout,
-            first,
-            dims,
-        })),
-        source,
-    })
+    let voxels = VdbVoxels {
+        file: file.clone(),
+        tree,
+        layout,
+        first,
+        dims,
+    };
+    Ok((header, voxels))
 }
 
 /// First index and extents of the box around what is active, one voxel wider on each side. An

@@ -42,6 +42,9 @@ pub(super) struct Tree {
     pub(super) active: Active,
     /// Number of leaves.
     pub(super) leaves: u64,
+    /// Offset in the file of the first leaf's values.
+    #[cfg(feature = "vdb-rs")]
+    pub(super) leaves_start: u64,
 }
 
 /// One cell of the root.
@@ -356,6 +359,8 @@ impl<'a, 'c> TreeReader<'a, 'c> {
             roots,
             active: self.active,
             leaves: self.leaves,
+            #[cfg(feature = "vdb-rs")]
+            leaves_start: 0,
         })
     }
 
@@ -506,6 +511,10 @@ impl<'a, 'c> TreeReader<'a, 'c> {
 
     /// Walks over the values of all leaves, which follow the topology, and notes where they are.
     pub(super) fn locate_leaves(&mut self, tree: &mut Tree) -> Result<(), Error> {
+        #[cfg(feature = "vdb-rs")]
+        {
+            tree.leaves_start = self.cursor.offset();
+        }
         for root in &mut tree.roots {
             let RootContent::Upper(upper) = &mut root.content else {
                 continue;

@@ -193,6 +193,12 @@ impl Layout {
         })
     }
 
+    /// Whether real numbers are stored as halves.
+    #[cfg(feature = "vdb-rs")]
+    pub(super) fn has_halves(&self) -> bool {
+        self.stored != self.bytes
+    }
+
     /// The value that the bytes of one in the file are.
     pub(super) fn value(&self, bytes: &[u8]) -> Value {
         let mut value = Value::default();
