@@ -169,7 +169,10 @@ impl Metadata {
             let name = cursor.string(WHAT)?;
             let kind = cursor.string(WHAT)?;
             let bytes = cursor.u32(WHAT)?;
-            let wanted = matches!(name.as_str(), "class" | "creator" | "is_saved_as_half_float");
+            let wanted = matches!(
+                name.as_str(),
+                "class" | "creator" | "is_saved_as_half_float"
+            );
             if !wanted {
                 cursor.skip(u64::from(bytes), WHAT)?;
                 continue;
@@ -253,6 +256,16 @@ impl Descriptor {
             match (first, last) {
                 (Ok(first), Ok(last)) if first >= start && last >= first && last <= length => {
                     (start, end) = (first, last);
+                }
+                (Ok(_), Ok(last)) if last > length => {
+                    return Err(cursor.invalid(
+                        length,
+                        format!(
+                            "the file ends early: {length} bytes found, {last} expected, where \
+                             the grid \"{}\" ends",
+                            plain(&unique)
+                        ),
+                    ));
                 }
                 _ => {
                     return Err(cursor.invalid(

@@ -145,7 +145,10 @@ impl Transform {
         };
         let dot = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let lengths = axes.map(|axis| dot(axis, axis).sqrt());
-        let finite = origin.iter().chain(axes.iter().flatten()).all(|x| x.is_finite());
+        let finite = origin
+            .iter()
+            .chain(axes.iter().flatten())
+            .all(|x| x.is_finite());
         if !finite || !lengths.iter().all(|length| is_plausible_spacing(*length)) {
             header.warnings.push(format!(
                 "{name}: the transform of the grid is none (voxels of size {lengths:?}); it is \
@@ -153,8 +156,7 @@ impl Transform {
             ));
             return Ok(());
         }
-        let unit: [[f64; 3]; 3] =
-            std::array::from_fn(|a| axes[a].map(|x| x / lengths[a]));
+        let unit: [[f64; 3]; 3] = std::array::from_fn(|a| axes[a].map(|x| x / lengths[a]));
         let [x, y, z] = unit;
         let cross = [
             y[1] * z[2] - y[2] * z[1],
@@ -179,9 +181,8 @@ impl Transform {
         }
         // Indices of grids have 32 bits: the conversion is exact.
         let first = header.first_index.map(|i| i as f64);
-        header.origin = std::array::from_fn(|r| {
-            (0..3).fold(origin[r], |sum, a| sum + first[a] * axes[a][r])
-        });
+        header.origin =
+            std::array::from_fn(|r| (0..3).fold(origin[r], |sum, a| sum + first[a] * axes[a][r]));
         header.direction = std::array::from_fn(|r| std::array::from_fn(|a| unit[a][r]));
         header.spacing = Some(lengths);
         Ok(())

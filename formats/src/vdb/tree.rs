@@ -314,10 +314,9 @@ impl<'a, 'c> TreeReader<'a, 'c> {
         let at = self.cursor.offset();
         let buffers = self.cursor.i32(WHAT)?;
         if buffers != 1 {
-            return Err(self.cursor.invalid(
-                at,
-                format!("a tree of {buffers} buffers, 1 expected"),
-            ));
+            return Err(self
+                .cursor
+                .invalid(at, format!("a tree of {buffers} buffers, 1 expected")));
         }
         let bytes = self.decoder.layout.bytes;
         let background = self.cursor.take(bytes, WHAT)?;

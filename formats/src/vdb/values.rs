@@ -386,11 +386,7 @@ impl Decoder {
     }
 
     /// Replaces `out` by the 512 values of the leaf at the cursor, z fastest.
-    pub(super) fn leaf(
-        &mut self,
-        cursor: &mut Cursor<'_>,
-        out: &mut Vec<u8>,
-    ) -> Result<(), Error> {
+    pub(super) fn leaf(&mut self, cursor: &mut Cursor<'_>, out: &mut Vec<u8>) -> Result<(), Error> {
         let layout = self.layout;
         let mut bits = [0; LEAF_VOXELS / 64];
         cursor.mask(&mut bits, WHAT)?;
@@ -404,7 +400,8 @@ impl Decoder {
             Leaf::Bits if layout.version < version::BOOL_LEAVES => {
                 old_buffers(cursor)?;
                 self.node(cursor, &bits, LEAF_VOXELS, out)?;
-                out.iter_mut().for_each(|value| *value = u8::from(*value != 0));
+                out.iter_mut()
+                    .for_each(|value| *value = u8::from(*value != 0));
                 return Ok(());
             }
             Leaf::Bits => {
@@ -428,10 +425,7 @@ fn old_buffers(cursor: &mut Cursor<'_>) -> Result<u8, Error> {
     let at = cursor.offset();
     match cursor.u8(WHAT)? {
         count @ 1..128 => Ok(count),
-        count => Err(cursor.invalid(
-            at,
-            format!("a leaf has {count} buffers, 1 to 127 expected"),
-        )),
+        count => Err(cursor.invalid(at, format!("a leaf has {count} buffers, 1 to 127 expected"))),
     }
 }
 

@@ -53,7 +53,10 @@ pub(crate) fn open(file: FileBytes, context: &Context<'_>) -> Result<Volume, Err
     let bytes = file.read(0, file.len())?;
     let whole = std::io::Cursor::new(&*bytes);
     let failed = |reason: String| {
-        Error::unsupported(context.name, format!("vdb-rs cannot read the file: {reason}"))
+        Error::unsupported(
+            context.name,
+            format!("vdb-rs cannot read the file: {reason}"),
+        )
     };
     let voxels = catch_unwind(AssertUnwindSafe(|| {
         let mut reader = VdbReader::new(whole)?;
@@ -78,11 +81,7 @@ pub(crate) fn open(file: FileBytes, context: &Context<'_>) -> Result<Volume, Err
 }
 
 /// The name of the chosen grid as `vdb-rs` has it, if it reads that grid right.
-fn checked_name(
-    file: &FileBytes,
-    context: &Context<'_>,
-    own: &VdbVoxels,
-) -> Result<String, Error> {
+fn checked_name(file: &FileBytes, context: &Context<'_>, own: &VdbVoxels) -> Result<String, Error> {
     let grids = Grids::read(file)?;
     let grid = grids.choose(context.options.dataset.as_deref())?;
     let mut map = String::new();
@@ -107,7 +106,10 @@ fn checked_name(
         (!grids.header.has_offsets, "a file written as a stream"),
         (grid.is_instance(), "a grid that shares the tree of another"),
         (
-            !matches!(grid.kind.tree.as_str(), "Tree_float_5_4_3" | "Tree_int32_5_4_3"),
+            !matches!(
+                grid.kind.tree.as_str(),
+                "Tree_float_5_4_3" | "Tree_int32_5_4_3"
+            ),
             "a grid of another type than float and int32",
         ),
         (

@@ -388,13 +388,7 @@ impl VdbVoxels {
     }
 
     /// Whether the tiles of `cells`, none of which is a child, have the same value.
-    fn one_tile(
-        &self,
-        node: &Node,
-        cells: &[Range<usize>; 3],
-        log2: u32,
-        same: &mut Same,
-    ) -> bool {
+    fn one_tile(&self, node: &Node, cells: &[Range<usize>; 3], log2: u32, same: &mut Same) -> bool {
         match &node.tiles {
             Tiles::One(value) => same.is(*value),
             Tiles::Two(first, second, mask) => match all_or_none(mask, cells, log2) {

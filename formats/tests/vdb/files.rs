@@ -1,9 +1,11 @@
+use std::path::Path;
+
 use curvox_formats::{
-    Content, ErrorKind, Header, OpenOptions, Region, Volume, VoxelType, Voxels, conformance, open,
+    Content, Error, ErrorKind, Header, OpenOptions, Region, Volume, Voxels, conformance, open,
 };
 
 use crate::sha256::sha256;
-use crate::support::{peak_bytes, read_all, shared_data};
+use crate::support::{peak_bytes, read_all, read_path, shared_data};
 
 /// File, number of the grid, active voxels, extents, first index, and the first 16 digits of the
 /// SHA-256 of the voxels (little-endian, x fastest) of the box around the active voxels, one voxel
@@ -125,4 +127,268 @@ fn every_small_grid_keeps_the_rules_of_readers() {
                 .unwrap_or_else(|e| panic!("{file}: {e}"));
         }
     }
+}
+
+#[test]
+fn inactive_voxels_and_tiles_keep_their_values() {
+    let Some(data) = shared_data() else { return };
+    let fixtures = data.join("vdb-fixtures");
+    let surface = open(&fixtures.join("ls_bloscmask.vdb"), &OpenOptions::default()).unwrap();
+    assert_eq!(surface.header.content, Content::LevelSet);
+    // The centre is inside, in an inactive tile or leaf; the corner is outside.
+    assert_eq!(value(&surface, [6, 8, 10]), -1.5);
+    assert_eq!(value(&surface, surface.header.first_index), 1.5);
+    let fog = open(&fixtures.join("fog_bloscmask.vdb"), &OpenOptions::default()).unwrap();
+    assert_eq!(fog.header.content, Content::Fog);
+    assert_eq!(value(&fog, [6, 8, 10]), 1.0);
+
+    let region = |region| OpenOptions {
+        region: Some(region),
+        ..OpenOptions::default()
+    };
+    let tile = open(
+        &fixtures.join("inactive_tile.vdb"),
+        &region([-10..600, -10..200, -10..200]),
+    )
+    .unwrap();
+    assert_eq!(value(&tile, [0, 0, 0]), 5.0);
+    assert_eq!(value(&tile, [127, 127, 127]), 5.0);
+    assert_eq!(value(&tile, [128, 0, 0]), 0.0);
+    assert_eq!(value(&tile, [500, 0, 0]), 2.0);
+
+    let root = open(&fixtures.join("root_tile.vdb"), &OpenOptions::default()).unwrap();
+    assert_eq!(value(&root, [4095, 4095, 4095]), 5.0);
+    assert_eq!(value(&root, [4096, 0, 0]), 0.0);
+    assert_eq!(value(&root, [5000, 0, 0]), 2.0);
+    let Voxels::Random(voxels) = &root.voxels else {
+        panic!("boxes expected");
+    };
+    let one = |origin, size| {
+        let value = voxels.uniform(&Region { origin, size })?;
+        Some(f32::from_le_bytes([value[0], value[1], value[2], value[3]]))
+    };
+    assert_eq!(one([1; 3], [4096; 3]), Some(5.0));
+    assert_eq!(one([0, 0, 0], [5003, 4098, 1]), Some(0.0));
+    assert_eq!(one([0; 3], [4096; 3]), None);
+    assert_eq!(one([4097, 1, 1], [800, 4096, 4096]), Some(0.0));
+}
+
+#[test]
+fn halves_differ_from_floats_by_their_precision_alone() {
+    let Some(data) = shared_data() else { return };
+    let floats = |name: &str| -> Vec<f32> {
+        let (_, bytes, _) = read_path(&data.join("vdb-fixtures").join(name)).unwrap();
+        let words = bytes.as_chunks::<4>().0;
+        words.iter().map(|b| f32::from_le_bytes(*b)).collect()
+    };
+    let (whole, half) = (floats("ls_none.vdb"), floats("ls_half_bloscmask.vdb"));
+    assert_eq!(whole.len(), half.len());
+    assert!(whole != half);
+    for (a, b) in whole.iter().zip(&half) {
+        assert!((a - b).abs() <= a.abs() / 2048.0 + 1e-7, "{a} {b}");
+    }
+}
+
+#[test]
+fn spacing_origin_and_direction_follow_the_transform() {
+    let Some(data) = shared_data() else { return };
+    let (c, s) = (0.3_f64.cos(), 0.3_f64.sin());
+    let straight = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+    let turned = [[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]];
+    for (name, spacing, zero, direction) in [
+        ("tf_uniform", [0.5; 3], [0.0; 3], straight),
+        ("tf_uniformtrans", [0.5; 3], [1.0, 2.0, 3.0], straight),
+        ("tf_scale", [0.5, 0.5, 2.0], [0.0; 3], straight),
+        ("tf_scaletrans", [0.5, 0.5, 2.0], [1.0, 2.0, 3.0], straight),
+        ("tf_translate", [1.0; 3], [1.0, 2.0, 3.0], straight),
+        ("tf_affine", [0.5; 3], [0.0; 3], turned),
+    ] {
+        let path = data.join(format!("vdb-fixtures/{name}.vdb"));
+        let header = open(&path, &OpenOptions::default()).unwrap().header;
+        let found = header.spacing.unwrap();
+        for r in 0..3 {
+            assert!((found[r] - spacing[r]).abs() < 1e-12, "{name} {found:?}");
+            let mut origin = zero[r];
+            for a in 0..3 {
+                let wanted = direction[r][a];
+                assert!(
+                    (header.direction[r][a] - wanted).abs() < 1e-12,
+                    "{name} {header:?}"
+                );
+                origin += header.direction[r][a] * spacing[a] * header.first_index[a] as f64;
+            }
+            assert!(
+                (header.origin[r] - origin).abs() < 1e-9,
+                "{name} {header:?}"
+            );
+        }
+    }
+}
+
+fn refused(path: &Path, options: &OpenOptions) -> Error {
+    open(path, options).expect_err(&path.display().to_string())
+}
+
+#[test]
+fn what_is_not_read_is_refused_by_name() {
+    let Some(data) = shared_data() else { return };
+    for (file, kind, part) in [
+        (
+            "vdb-fixtures/vec3f.vdb",
+            ErrorKind::Unsupported,
+            "a grid of vectors (Tree_vec3s",
+        ),
+        (
+            "vdb-fixtures/points.vdb",
+            ErrorKind::Unsupported,
+            "a grid of points",
+        ),
+        (
+            "vdb-fixtures/tf_frustum.vdb",
+            ErrorKind::Unsupported,
+            "frustum",
+        ),
+        (
+            "hostile/broken/trunc.vdb",
+            ErrorKind::Invalid,
+            "the file ends early: 100000 bytes",
+        ),
+        (
+            "hostile/broken/magic.vdb",
+            ErrorKind::Unsupported,
+            "not recognised",
+        ),
+        (
+            "hostile/broken/version_future.vdb",
+            ErrorKind::Unsupported,
+            "version 9999",
+        ),
+    ] {
+        let error = refused(&data.join(file), &OpenOptions::default());
+        assert_eq!(error.kind(), kind, "{error}");
+        assert!(error.to_string().contains(part), "{error}");
+    }
+}
+
+#[test]
+fn grids_are_chosen_by_name_and_number() {
+    let Some(data) = shared_data() else { return };
+    let same = data.join("vdb-fixtures/samename.vdb");
+    for options in [OpenOptions::default(), named("g"), named("h"), number(2)] {
+        let error = refused(&same, &options);
+        assert_eq!(error.kind(), ErrorKind::Unsupported);
+        assert!(
+            error.message().contains("g[0] (float), g[1] (float)"),
+            "{error}"
+        );
+    }
+    for (name, expected) in [("g[0]", 1.0), ("g[1]", 2.0), ("0", 1.0), ("1", 2.0)] {
+        let volume = open(&same, &named(name)).unwrap();
+        assert_eq!(value(&volume, [-4, 0, 0]), expected);
+    }
+    let instance = data.join("vdb-fixtures/instance.vdb");
+    let grid = |name| open(&instance, &named(name)).unwrap();
+    assert_eq!(grid("g").header.spacing, Some([0.5; 3]));
+    assert_eq!(grid("h").header.spacing, Some([1.0; 3]));
+    assert_eq!(
+        read_all(grid("g")).unwrap().1,
+        read_all(grid("h")).unwrap().1
+    );
+    let multi = data.join("formats/head-ct/multi.vdb");
+    assert_eq!(
+        open(&multi, &named("density")).unwrap().header.dims,
+        [62, 65, 95]
+    );
+    assert!(refused(&multi, &named("vel")).message().contains("vectors"));
+}
+
+#[test]
+fn the_same_volume_is_in_every_file() {
+    let Some(data) = shared_data() else { return };
+    let (_, reference, _) = read_path(&data.join("formats/head-ct/ref.npy")).unwrap();
+    let reference: Vec<f64> = reference
+        .as_chunks::<2>()
+        .0
+        .iter()
+        .map(|b| f64::from(i16::from_le_bytes(*b)))
+        .collect();
+    let whole = OpenOptions {
+        region: Some([0..64, 0..64, 0..93]),
+        ..named("density")
+    };
+    for (name, off) in [
+        ("none", 0.0),
+        ("mask", 0.0),
+        ("zip", 0.0),
+        ("blosc", 0.0),
+        ("half", 1.0),
+        ("int32", 0.0),
+        ("affine", 0.0),
+        ("multi", 0.0),
+    ] {
+        let path = data.join(format!("formats/head-ct/{name}.vdb"));
+        let (header, bytes, _) = read_all(open(&path, &whole).unwrap()).unwrap();
+        assert_eq!(header.dims, [64, 64, 93]);
+        let words = bytes.as_chunks::<4>().0;
+        for (word, expected) in words.iter().zip(&reference) {
+            let found = match name {
+                "int32" => f64::from(i32::from_le_bytes(*word)),
+                _ => f64::from(f32::from_le_bytes(*word)),
+            };
+            assert!(
+                (found - expected).abs() <= off,
+                "{name}: {found} {expected}"
+            );
+        }
+    }
+    let (_, mask, _) = read_path(&data.join("formats/gm-mask/ref.npy")).unwrap();
+    let whole = OpenOptions {
+        region: Some([0..77, 0..96, 0..80]),
+        ..OpenOptions::default()
+    };
+    for name in ["zip", "blosc", "half"] {
+        let path = data.join(format!("formats/gm-mask/levelset_{name}.vdb"));
+        let (_, bytes, _) = read_all(open(&path, &whole).unwrap()).unwrap();
+        let words = bytes.as_chunks::<4>().0.iter();
+        let inside = words.map(|word| f32::from_le_bytes(*word) < 0.0);
+        assert!(inside.eq(mask.iter().map(|m| *m != 0)), "{name}");
+    }
+}
+
+#[test]
+fn a_file_is_opened_in_little_memory() {
+    let Some(data) = shared_data() else { return };
+    let (volume, peak) =
+        peak_bytes(|| open(&data.join("vdb/cube.vdb"), &OpenOptions::default()).unwrap());
+    drop(volume);
+    // 3.9 MB in the file, 24 MB of leaves decoded.
+    assert!(peak < 1 << 20, "{peak}");
+}
+
+#[cfg(feature = "vdb-rs")]
+#[test]
+fn vdb_rs_agrees_where_it_is_taken() {
+    let Some(data) = shared_data() else { return };
+    let mut agreed = Vec::new();
+    for &(file, grid, _, dims, ..) in FACTS {
+        if dims.iter().product::<u64>() > 10_000_000 {
+            continue;
+        }
+        let options = OpenOptions {
+            format: Some(curvox_formats::Format::VdbRs),
+            ..number(grid)
+        };
+        let theirs = match open(&data.join(file), &options) {
+            Ok(volume) => read_all(volume).unwrap().1,
+            Err(error) => {
+                assert!(error.message().contains("does not read"), "{error}");
+                continue;
+            }
+        };
+        let (_, ours, _) = read_all(open(&data.join(file), &number(grid)).unwrap()).unwrap();
+        assert!(ours == theirs, "{file}");
+        agreed.push(file);
+    }
+    println!("{} files: {agreed:?}", agreed.len());
+    assert!(agreed.len() >= 15, "{agreed:?}");
 }

@@ -1,9 +1,10 @@
 use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
 
-use curvox_formats::{ErrorKind, OpenOptions, Region, Voxels, open_stream};
+use curvox_formats::{ErrorKind, OpenOptions, Region, Voxels, open};
 use proptest::prelude::*;
 
-use super::writer::{Leaf, Lower, Model, Node, Root, Style, Upper, bytes, file};
+use super::writer::{Leaf, Lower, Model, Node, Root, Style, Upper, bytes, file, number};
 use crate::support::{Folder, open_bytes, peak_bytes, read_all};
 
 /// Random numbers, the same for the same seed (splitmix64).
@@ -205,10 +206,16 @@ fn check(style: &Style, model: &Model, random: &mut Random) -> Result<(), TestCa
         header.dims,
         [0, 1, 2].map(|a| (high[a] - low[a] + 3) as u64)
     );
-    let told = header.details.iter().find(|(name, _)| *name == "active voxels");
+    let told = header
+        .details
+        .iter()
+        .find(|(name, _)| *name == "active voxels");
     prop_assert_eq!(told.unwrap().1.clone(), count.to_string());
     prop_assert_eq!(header.spacing, Some([0.5, 0.75, 1.25]));
-    prop_assert_eq!(header.origin[1], -20.0 + 0.75 * header.first_index[1] as f64);
+    prop_assert_eq!(
+        header.origin[1],
+        -20.0 + 0.75 * header.first_index[1] as f64
+    );
 
     // Boxes anywhere, beyond all nodes, too.
     let all = [-20_000_i64..20_000, -20_000..20_000, -20_000..20_000];
@@ -260,5 +267,159 @@ proptest! {
         let mut random = Random(seed);
         let model = random.model();
         check(&style, &model, &mut random)?;
+    }
+}
+
+/// A leaf of one value in a tree that is empty else.
+fn lone(index: [i32; 3], background: i32, value: i32) -> Root {
+    let empty = (background, false);
+    let lower = Node {
+        cells: vec![empty; 4096],
+        children: BTreeMap::from([(number(index, 4, 3), vec![(value, true); 512])]),
+    };
+    Root::Upper(Node {
+        cells: vec![empty; 32768],
+        children: BTreeMap::from([(number(index, 5, 7), lower)]),
+    })
+}
+
+#[test]
+fn small_objects_far_apart_cost_little() {
+    let places = [
+        [-50_000, -50_000, -50_000],
+        [0, 0, 0],
+        [49_992, 49_992, 49_992],
+    ];
+    let model = Model {
+        background: -3,
+        roots: places
+            .into_iter()
+            .map(|index: [i32; 3]| (index.map(|i| i >> 12), lone(index, -3, 4)))
+            .collect(),
+    };
+    let bytes = file(&Style::default(), &[("g", Ok(&model))]);
+    let folder = Folder::new();
+    let begin = Instant::now();
+    let path = folder.write("far.vdb", &bytes);
+    let (volume, peak) = peak_bytes(|| open(&path, &OpenOptions::default()).unwrap());
+    assert!(peak < 1 << 20, "{peak}");
+    let header = volume.header;
+    assert_eq!(header.dims, [100_002; 3]);
+    let Voxels::Random(voxels) = volume.voxels else {
+        panic!("boxes expected");
+    };
+    // Slabs of 64 planes: all of them, and those that have something in tiles of 1024^2.
+    let (mut filled, mut out) = (0, Vec::new());
+    for z in (0..100_002).step_by(64) {
+        let slab = Region {
+            origin: [0, 0, z],
+            size: [100_002, 100_002, 64.min(100_002 - z)],
+        };
+        if voxels.uniform(&slab).is_some() {
+            continue;
+        }
+        for y in (0..100_002).step_by(1024) {
+            for x in (0..100_002).step_by(1024) {
+                let tile = Region {
+                    origin: [x, y, z],
+                    size: [1024.min(100_002 - x), 1024.min(100_002 - y), slab.size[2]],
+                };
+                if voxels.uniform(&tile).is_none() {
+                    voxels.read_box(&tile, &mut out).unwrap();
+                    let words = out.as_chunks::<4>().0.iter();
+                    filled += words.filter(|v| f32::from_le_bytes(**v) == 4.0).count();
+                }
+            }
+        }
+    }
+    assert_eq!(filled, 3 * 512);
+    assert!(
+        begin.elapsed() < Duration::from_secs(10),
+        "{:?}",
+        begin.elapsed()
+    );
+}
+
+#[test]
+fn grids_of_a_stream_are_found_one_behind_the_other() {
+    let model = |value| Model {
+        background: 0,
+        roots: BTreeMap::from([([0; 3], lone([8, 8, 8], 0, value))]),
+    };
+    let (one, two) = (model(1), model(2));
+    for stream in [false, true] {
+        for kind in ["double", "vec3s"] {
+            let style = Style {
+                stream,
+                kind,
+                half: true,
+                flags: 5,
+                ..Style::default()
+            };
+            let bytes = file(
+                &style,
+                &[
+                    ("a", Ok(&one)),
+                    ("b", Ok(&two)),
+                    ("b\u{1e}1", Err("a")),
+                    ("c", Err("x")),
+                ],
+            );
+            let open = |name: &str| {
+                let options = OpenOptions {
+                    dataset: Some(name.into()),
+                    ..OpenOptions::default()
+                };
+                open_bytes(&bytes, &options)
+            };
+            if kind == "vec3s" {
+                let error = open("b[1]").unwrap_err();
+                assert!(
+                    error.message().contains("vectors (Tree_vec3s_5_4_3)"),
+                    "{error}"
+                );
+                continue;
+            }
+            for (name, value) in [("a", 1.0_f64), ("b", 2.0), ("b[1]", 1.0), ("2", 1.0)] {
+                let (header, voxels, _) = read_all(open(name).unwrap()).unwrap();
+                assert_eq!(header.dims, [10; 3]);
+                assert_eq!(voxels[(111 * 8)..(112 * 8)], value.to_le_bytes(), "{name}");
+            }
+            let error = open("c").unwrap_err();
+            assert_eq!(error.kind(), ErrorKind::Invalid);
+            assert!(
+                error.message().contains("shares the tree of \"x\""),
+                "{error}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_region_may_lie_anywhere() {
+    let model = Model {
+        background: 5,
+        roots: BTreeMap::from([([0; 3], lone([0; 3], 5, 1))]),
+    };
+    let bytes = file(&Style::default(), &[("g", Ok(&model))]);
+    let open = |region| {
+        let options = OpenOptions {
+            region: Some(region),
+            ..OpenOptions::default()
+        };
+        open_bytes(&bytes, &options)
+    };
+    let volume = open([-3..5, 1 << 32..(1 << 32) + 2, 0..1]).unwrap();
+    assert_eq!(volume.header.first_index, [-3, 1 << 32, 0]);
+    assert_eq!(
+        volume.header.origin,
+        [8.5, -20.0 + 0.75 * 2_f64.powi(32), 30.0]
+    );
+    let (_, voxels, _) = read_all(volume).unwrap();
+    assert_eq!(voxels, 5.0_f32.to_le_bytes().repeat(16));
+    let (_, voxels, _) = read_all(open([-1..1, 0..1, 0..1]).unwrap()).unwrap();
+    assert_eq!(voxels, [5.0_f32, 1.0].map(f32::to_le_bytes).concat());
+    for region in [[0..0, 0..1, 0..1], [0..1, 0..1, i64::MIN..i64::MAX]] {
+        assert_eq!(open(region).unwrap_err().kind(), ErrorKind::Unsupported);
     }
 }

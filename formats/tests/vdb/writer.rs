@@ -93,7 +93,10 @@ pub fn bytes(kind: &str, value: i32) -> Vec<u8> {
         "int32" | "uint32" => (value as u32).to_le_bytes().to_vec(),
         "int64" | "uint64" => i64::from(value).to_le_bytes().to_vec(),
         "bool" | "mask" => vec![u8::from(value != 0)],
-        "vec3s" => [value as f32; 3].iter().flat_map(|v| v.to_le_bytes()).collect(),
+        "vec3s" => [value as f32; 3]
+            .iter()
+            .flat_map(|v| v.to_le_bytes())
+            .collect(),
         other => panic!("no kind {other}"),
     }
 }
@@ -211,7 +214,12 @@ impl Writer<'_> {
         }
         let mut inactive: Vec<i32> = Vec::new();
         for (n, (value, active)) in cells.iter().enumerate() {
-            if !active && is_tile(n) && !inactive.iter().any(|v| bytes(kind, *v) == bytes(kind, *value)) {
+            if !active
+                && is_tile(n)
+                && !inactive
+                    .iter()
+                    .any(|v| bytes(kind, *v) == bytes(kind, *value))
+            {
                 inactive.push(*value);
             }
         }
@@ -241,11 +249,19 @@ impl Writer<'_> {
         }
         if matches!(case, 3..=5) {
             let second = bytes(kind, inactive[1]);
-            self.mask(cells.iter().map(|(v, active)| !active && bytes(kind, *v) == second));
+            self.mask(
+                cells
+                    .iter()
+                    .map(|(v, active)| !active && bytes(kind, *v) == second),
+            );
         }
         let stored: Vec<i32> = match case {
             6 => cells.iter().map(|cell| cell.0).collect(),
-            _ => cells.iter().filter(|cell| cell.1).map(|cell| cell.0).collect(),
+            _ => cells
+                .iter()
+                .filter(|cell| cell.1)
+                .map(|cell| cell.0)
+                .collect(),
         };
         self.stored(&stored);
     }
@@ -266,7 +282,13 @@ impl Writer<'_> {
         }
         // Cells of children are stored as inactive zeros.
         let cells: Vec<Cell> = (0..node.cells.len())
-            .map(|n| if is_tile(n) { node.cells[n] } else { (0, false) })
+            .map(|n| {
+                if is_tile(n) {
+                    node.cells[n]
+                } else {
+                    (0, false)
+                }
+            })
             .collect();
         self.values(&cells, &is_tile);
         node.children.values().for_each(|inner| child(self, inner));
@@ -275,7 +297,10 @@ impl Writer<'_> {
     fn topology(&mut self, model: &Model) {
         self.u32(1);
         self.value(model.background);
-        let tiles = model.roots.values().filter(|root| matches!(root, Root::Tile(_)));
+        let tiles = model
+            .roots
+            .values()
+            .filter(|root| matches!(root, Root::Tile(_)));
         let tiles = tiles.count();
         self.u32(tiles as u32);
         self.u32((model.roots.len() - tiles) as u32);
@@ -352,7 +377,12 @@ impl Writer<'_> {
             self.text("LinearTransform");
             self.origin([0; 3]);
             self.origin([100; 3]);
-            for (scale, origin) in [([2.0; 3], origin), ([9.0; 3], [9.0; 3]), (scale.map(|s| s / 2.0), [0.0; 3]), ([9.0; 3], [9.0; 3])] {
+            for (scale, origin) in [
+                ([2.0; 3], origin),
+                ([9.0; 3], [9.0; 3]),
+                (scale.map(|s| s / 2.0), [0.0; 3]),
+                ([9.0; 3], [9.0; 3]),
+            ] {
                 numbers.extend(matrix(scale, origin));
             }
         } else {
@@ -362,7 +392,8 @@ impl Writer<'_> {
                 numbers.extend(scale);
             }
         }
-        self.out.extend(numbers.iter().flat_map(|n| n.to_le_bytes()));
+        self.out
+            .extend(numbers.iter().flat_map(|n| n.to_le_bytes()));
     }
 
     fn grid(&mut self, model: &Model, instance: bool) {
