@@ -367,7 +367,7 @@ pub(super) fn select(
             None => {
                 return Err(refused(format!(
                     "has {count} {what}s: choose one with --{what} N, 0 to {}",
-                    count - 1
+                    count.saturating_sub(1)
                 )));
             }
             Some(index) if index < count => index,

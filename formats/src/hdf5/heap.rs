@@ -25,7 +25,8 @@ impl<'a> LocalHeap<'a> {
         fields.magic(b"HEAP")?;
         fields.version("a local heap", 0)?;
         let rest_address = address.saturating_add(8);
-        let rest = file.describe(rest_address, 24)?;
+        let rest_bytes = 2 * file.length_bytes() + file.offset_bytes();
+        let rest = file.describe(rest_address, rest_bytes as u64)?;
         let mut fields = file.fields(rest_address, &rest);
         let size = fields.length()?;
         fields.length()?;
