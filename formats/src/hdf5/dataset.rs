@@ -14,7 +14,7 @@ use super::index::Index;
 use super::message::{Chunking, Dataspace, Datatype, Filter, Layout, What, fill, filters};
 use super::object::{Object, kind};
 use crate::chunked::{ChunkedVoxels, Chunks};
-use crate::codec::exactly;
+use crate::codec::{CodecError, exactly};
 use crate::error::Error;
 use crate::header::{DType, Format, Header};
 use crate::order::AxisOrder;
@@ -520,9 +520,10 @@ impl Chunks for ChunkedDataset {
             .is_all((self.chunk_bytes / self.pick.bytes) as u64);
         let mut whole = Vec::new();
         let target = if all { &mut *out } else { &mut whole };
-        let failed = |e: crate::codec::CodecError| {
-            let what = format!("chunk {numbers:?} of {}: {}", self.path, e.message());
-            Error::new(e.kind(), self.file.name(), what).at(self.file.place(stored.address))
+        let failed = |e: CodecError| {
+            let error = e.of(self.file.name());
+            let what = format!("chunk {numbers:?} of {}: {}", self.path, error.message());
+            Error::new(error.kind(), self.file.name(), what).at(self.file.place(stored.address))
         };
         if filters.is_empty() {
             exactly(self.chunk_bytes, &data).map_err(failed)?;
