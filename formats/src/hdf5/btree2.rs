@@ -108,7 +108,7 @@ impl Tree2 {
             let bytes = (count + 1).saturating_mul(pointer as u64);
             fields.skip(usize::try_from(bytes).unwrap_or(usize::MAX))?;
         }
-        fields.checksum("B-tree node")?;
+        fields.checksum_once("B-tree node")?;
         Ok((records, children))
     }
 

@@ -25,7 +25,14 @@ pub(super) struct File {
     length_bytes: usize,
     /// Bytes that were read to find out what the file holds.
     described: AtomicU64,
+    /// Places of structures whose checksums were verified not long ago: pages of an index are asked
+    /// again and again. Each place has one slot, which others may take.
+    verified: [AtomicU64; SLOTS],
 }
+
+/// A power of two. Fewer and threads that read here and there take each other's slots; more and
+/// the slots no longer stay in the fastest cache.
+const SLOTS: usize = 256;
 
 impl File {
     /// The file, and the address of its root group.
@@ -55,6 +62,7 @@ impl File {
             offset_bytes: 8,
             length_bytes: 8,
             described: AtomicU64::new(0),
+            verified: std::array::from_fn(|_| AtomicU64::new(u64::MAX)),
         };
         let root = file.superblock()?;
         Ok((file, root))
@@ -167,6 +175,13 @@ impl File {
             .at(self.place(address)));
         }
         self.read(address, count)
+    }
+
+    /// The slot of the structure at a place.
+    fn slot(&self, place: u64) -> &AtomicU64 {
+        // Structures are some multiple of eight bytes apart.
+        let spread = place.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (64 - SLOTS.ilog2());
+        &self.verified[spread as usize % SLOTS]
     }
 
     /// The fields of a structure whose `bytes` are at `address`.
@@ -300,6 +315,17 @@ impl<'a> Fields<'a> {
             return Ok(());
         }
         Err(before.unsupported(format!("version {found} of {what}")))
+    }
+
+    /// As [`Fields::checksum`], but not again if it was verified not long ago.
+    pub(super) fn checksum_once(&mut self, what: &str) -> Result<(), Error> {
+        let slot = self.file.slot(self.start);
+        if slot.load(Ordering::Relaxed) == self.start {
+            return self.skip(4);
+        }
+        self.checksum(what)?;
+        slot.store(self.start, Ordering::Relaxed);
+        Ok(())
     }
 
     /// The checksum of all fields before it.
