@@ -34,6 +34,8 @@
 // Without the SIGBUS guard some helpers of the map have no use.
 #![cfg_attr(not(unix), allow(dead_code))]
 
+mod codec;
+
 pub mod conformance;
 
 mod analyze;
@@ -48,14 +50,20 @@ mod crop;
 
 mod detect;
 
+mod dicom;
+
 mod error;
 
 mod forward;
+
+#[cfg(feature = "hdf5")]
+mod hdf5;
 
 mod header;
 
 mod input;
 
+mod jpeg;
 mod lines;
 
 mod map;
@@ -93,12 +101,15 @@ mod record;
 mod registry;
 
 mod shares;
+mod slices;
+mod store;
 
 mod stored;
 
 mod stream;
 
 mod text;
+mod tiff;
 
 mod vol;
 
@@ -109,6 +120,7 @@ mod vtk;
 pub mod write;
 
 mod zip;
+mod zarr;
 
 pub use error::{Error, ErrorKind};
 pub use header::{
@@ -117,4 +129,5 @@ pub use header::{
 pub use open::{open, open_stream};
 pub use options::{IoMode, OpenOptions, RawLayout};
 pub use registry::{Choices, FormatInfo, formats};
+pub use store::open_url;
 pub use volume::{ForwardVoxels, RandomVoxels, SourceInfo, Volume, Voxels};

@@ -42,7 +42,7 @@ pub(crate) fn take_vectors(
     field: &str,
     name: &str,
 ) -> Option<[f64; 3]> {
-    let lengths = vectors.map(|v| v.iter().map(|x| x * x).sum::<f64>().sqrt());
+    let lengths = vectors.map(length);
     if let Some(bad) = lengths.iter().find(|s| !is_plausible_spacing(**s)) {
         header.warnings.push(format!(
             "{name}: {field} has a vector of length {bad:e}, which is no axis; it is ignored"
@@ -73,6 +73,17 @@ pub(crate) fn take_vectors(
     }
     header.direction = std::array::from_fn(|r| std::array::from_fn(|axis| unit[axis][r]));
     Some(lengths)
+}
+
+/// The length of a vector. That of an oblique one is only as exact as its printed components, so its last
+/// digits are rounded off: cubic voxels stay cubic.
+fn length(vector: [f64; 3]) -> f64 {
+    let length = vector.iter().map(|x| x * x).sum::<f64>().sqrt();
+    if vector.iter().filter(|x| **x != 0.0).count() < 2 {
+        return length;
+    }
+    // More digits would keep the errors of the root, fewer could change what a file says.
+    format!("{length:.13e}").parse().unwrap_or(length)
 }
 
 /// Takes the position of the first voxel.
@@ -107,6 +118,17 @@ pub(crate) fn unit(text: &str) -> Option<Unit> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_oblique_vector_has_the_length_that_was_meant() {
+        let (sine, cosine) = 0.3_f64.sin_cos();
+        for meant in [0.3, 1.9, 0.7031249999999999] {
+            assert_eq!(length([0.0, -meant, 0.0]), meant);
+            let turned = length([meant * sine, meant * cosine, 0.0]);
+            assert!((turned - meant).abs() < 1e-13);
+        }
+        assert_eq!(length([0.3 * sine, 0.0, 0.3 * cosine]), 0.3);
+    }
 
     #[test]
     fn units_are_read_as_people_write_them() {

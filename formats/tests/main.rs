@@ -32,6 +32,9 @@ mod mutation;
 /// Meshes: every form of OBJ, PLY and STL, and damage to them.
 mod meshes;
 
+/// DICOM series, slices with one thing changed at a time.
+mod dicom;
+
 /// MetaImage: headers, and the files of the shared folder.
 mod metaimage;
 
