@@ -110,6 +110,7 @@ mod stream;
 
 mod text;
 mod tiff;
+mod vdb;
 
 mod vol;
 
@@ -119,8 +120,8 @@ mod vtk;
 
 pub mod write;
 
-mod zip;
 mod zarr;
+mod zip;
 
 pub use error::{Error, ErrorKind};
 pub use header::{
