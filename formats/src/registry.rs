@@ -176,7 +176,6 @@ pub(crate) enum Reader {
     /// The header first, the voxels after it (or in other files), one behind the other.
     Header(fn(&mut Input, &Context<'_>) -> Result<Parsed, Error>),
     /// The bytes are needed in an order of the reader's own.
-    #[allow(dead_code)]
     Bytes(fn(FileBytes, &Context<'_>) -> Result<Volume, Error>),
     /// Nothing in this build: see [`FormatInfo::missing_feature`].
     #[allow(dead_code)]
