@@ -18,7 +18,8 @@ use crate::error::Error;
 use crate::header::Header;
 use crate::map::Fingerprint;
 use crate::options::IoMode;
-use crate::stored::{AxisOrder, StoredVoxels};
+use crate::order::AxisOrder;
+use crate::stored::StoredVoxels;
 use crate::volume::RandomVoxels;
 
 /// A file that holds planes.
@@ -95,7 +96,7 @@ impl PlaneVoxels {
                 name,
                 *first,
                 header,
-                AxisOrder::XFastest,
+                AxisOrder::X_FASTEST,
             ));
         }
         let chunk = self.chunk;
