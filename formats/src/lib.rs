@@ -119,8 +119,8 @@ mod vtk;
 
 pub mod write;
 
-mod zip;
 mod zarr;
+mod zip;
 
 pub use error::{Error, ErrorKind};
 pub use header::{
