@@ -110,6 +110,7 @@ mod stream;
 
 mod text;
 mod tiff;
+mod vdb;
 
 mod vol;
 

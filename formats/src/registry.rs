@@ -339,6 +339,7 @@ pub(crate) enum Reader {
     /// The bytes are needed in an order of the reader's own.
     Bytes(fn(FileBytes, &Context<'_>) -> Result<Volume, Error>),
     /// Nothing in this build: see [`FormatInfo::missing_feature`].
+    #[cfg(not(feature = "hdf5"))]
     Missing,
 }
 

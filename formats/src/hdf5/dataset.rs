@@ -17,7 +17,8 @@ use crate::chunked::{ChunkedVoxels, Chunks};
 use crate::codec::exactly;
 use crate::error::Error;
 use crate::header::{DType, Format, Header};
-use crate::stored::{AxisOrder, StoredVoxels};
+use crate::order::AxisOrder;
+use crate::stored::StoredVoxels;
 use crate::volume::RandomVoxels;
 
 /// A dataset whose voxels are not looked at yet.
@@ -223,7 +224,7 @@ impl Dataset {
                 file.name(),
                 offset,
                 header,
-                AxisOrder::XFastest,
+                AxisOrder::X_FASTEST,
             )));
         }
         let planes = Planes {
