@@ -178,7 +178,7 @@ fn an_imagej_stack_above_4_gib_shows_all_its_planes() {
             origin: [4, 7, 138],
             size: [3, 1, 2],
         };
-        let (mut out, ()) = (Vec::new(), ());
+        let mut out = Vec::new();
         let ((), peak) = peak_bytes(|| voxels.read_box(&region, &mut out).unwrap());
         assert_eq!(out, [0, 0, 0, 0, 0, 0, 0, 0, 0x34, 0x12, 0, 0]);
         assert!(peak < 1 << 20, "{peak} bytes were held");
@@ -210,6 +210,23 @@ fn calibrated_values_of_imagej_are_a_scaling() {
     let scaling = header.scaling.unwrap();
     assert_eq!((scaling.slope, scaling.intercept), (1.0, -32768.0));
     assert_eq!(header.spacing, None);
+}
+
+#[test]
+fn planes_that_no_page_lists_are_turned_round_as_the_listed_one() {
+    let mut file = imagej_head([2, 2], 3, 512);
+    let at = file
+        .windows(2)
+        .position(|w| w == 262_u16.to_le_bytes())
+        .unwrap();
+    file[at + 8] = 0;
+    file.extend((0..24_u8).map(|n| !n));
+    let folder = Folder::new();
+    let path = folder.write("white.tif", &file);
+    let (header, voxels, _) = read_path(&path).unwrap();
+    assert_eq!(header.dims, [2, 2, 3]);
+    assert!(voxels.into_iter().eq(0..24));
+    conformance::check(|| open(&path, &OpenOptions::default())).unwrap();
 }
 
 #[test]

@@ -113,9 +113,13 @@ pub(crate) fn open(bytes: FileBytes, context: &Context<'_>) -> Result<Volume, Er
     let [channel, slice, frame] = stack.strides;
     let offset = choice.channel * channel + choice.frame * frame;
     if stack.contiguous {
-        gathered.add(&tiff, 0, &at_level(&tiff, start.clone(), level)?, |_| {
-            "the page".into()
-        })?;
+        if level > 0 {
+            return Err(Error::unsupported(
+                tiff.name(),
+                format!("level {level} was asked for, but planes without pages have only one"),
+            ));
+        }
+        gathered.add(&tiff, 0, &start, |_| "the page".into())?;
     } else {
         for z in 0..stack.slices {
             // The stack has as many planes as there are pages.
@@ -288,8 +292,8 @@ fn contiguous(
         return Err(Error::unsupported(
             tiff.name(),
             format!(
-                "{all} planes are noted, but only one page is listed and it is not plain bytes \
-                 ({}, {})",
+                "{all} planes are noted, but only one page is listed and it is compressed or in \
+                 pieces ({}, {})",
                 layout.compression.name(),
                 layout.in_words()
             ),
