@@ -440,6 +440,23 @@ fn slices_of_an_ome_tiff_are_read_as_its_xml_says() {
 }
 
 #[test]
+fn files_outside_the_folder_are_read_only_if_allowed() {
+    let folder = Folder::new();
+    std::fs::create_dir(folder.path("inner")).unwrap();
+    let path = folder.path("inner/outside.ome.tif");
+    std::fs::copy(fixture("tiff/outside.ome.tif"), &path).unwrap();
+    std::fs::copy(fixture("tiff/stack.tif"), folder.path("stack.tif")).unwrap();
+    let found = message(read_path(&path));
+    assert!(found.contains("outside its folder"), "{found}");
+    let options = OpenOptions {
+        outside: true,
+        ..OpenOptions::default()
+    };
+    let (_, voxels, _) = read_all(open(&path, &options).unwrap()).unwrap();
+    assert!(voxels == read_path(&fixture("tiff/stack.tif")).unwrap().1);
+}
+
+#[test]
 fn many_files_of_one_ome_tiff_need_few_handles() {
     let folder = Folder::new();
     let plane = |name: &str| {
