@@ -97,7 +97,16 @@ impl FileHeader {
                 .at(8));
         }
         let library = [cursor.u32(WHAT)?, cursor.u32(WHAT)?];
-        let has_offsets = cursor.u8(WHAT)? != 0;
+        let at = cursor.offset();
+        let has_offsets = match cursor.u8(WHAT)? {
+            flag @ (0 | 1) => flag == 1,
+            flag => {
+                return Err(cursor.invalid(
+                    at,
+                    format!("the flag of an index is {flag}, 0 or 1 expected"),
+                ));
+            }
+        };
         let zipped = match version {
             version::COMPRESSION_FLAG..version::NODE_MASKS => cursor.u8(WHAT)? != 0,
             _ => true,
