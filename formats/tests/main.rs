@@ -32,6 +32,14 @@ mod mutation;
 /// Meshes: every form of OBJ, PLY and STL, and damage to them.
 mod meshes;
 
+/// DICOM series, slices with one thing changed at a time.
+mod dicom;
+
+/// MetaImage: headers, and the files of the shared folder.
+mod metaimage;
+
+/// NRRD: headers, and the files of the shared folder.
+mod nrrd;
 /// OpenVDB grids.
 mod vdb;
 
@@ -40,6 +48,21 @@ mod guard;
 
 /// The shared folder: same volumes in many formats, broken files, real files.
 mod shared;
+
+/// MRC and CCP4 maps, and axes in any order.
+mod mrc;
+
+/// FreeSurfer MGH.
+mod mgh;
+
+/// Analyze 7.5.
+mod analyze;
+
+/// Legacy VTK.
+mod vtk;
+
+/// NumPy archives.
+mod npz;
 
 /// Figures, not checks: run with `--release -- --ignored --nocapture speed`.
 mod speed;

@@ -281,6 +281,7 @@ mod tests {
         let mut all: Vec<_> = std::fs::read_dir(folder)
             .unwrap()
             .map(|entry| entry.unwrap().path())
+            .filter(|path| path.extension().is_some_and(|e| e == "blosc"))
             .map(|path| (path.display().to_string(), std::fs::read(&path).unwrap()))
             .collect();
         all.sort();

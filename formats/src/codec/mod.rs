@@ -55,6 +55,11 @@ impl CodecError {
         Error::new(self.kind, name, self.message)
     }
 
+    /// Whether the data is damaged or only not decoded here.
+    pub(crate) fn kind(&self) -> ErrorKind {
+        self.kind
+    }
+
     /// What is wrong, without the place.
     pub(crate) fn message(&self) -> &str {
         &self.message
