@@ -171,6 +171,8 @@ impl Metadata {
     /// Reads the metadata of a file or a grid.
     pub(super) fn read(cursor: &mut Cursor<'_>) -> Result<Self, Error> {
         const WHAT: &str = "the metadata";
+        /// Texts that are longer are not looked at.
+        const MOST_BYTES: u32 = 1 << 12;
         let mut found = Self::default();
         let count = cursor.u32(WHAT)?;
         // Each has at least three lengths, so a wrong count ends at the end of the file.
