@@ -184,7 +184,7 @@ impl Metadata {
                 name.as_str(),
                 "class" | "creator" | "is_saved_as_half_float"
             );
-            if !wanted {
+            if !wanted || bytes > MOST_BYTES {
                 cursor.skip(u64::from(bytes), WHAT)?;
                 continue;
             }
