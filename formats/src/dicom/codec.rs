@@ -9,7 +9,6 @@ pub(super) mod dct;
 
 pub(super) mod jpeg;
 
-#[cfg(feature = "jpeg2000")]
 pub(super) mod jpeg2000;
 
 pub(super) mod jpegls;
