@@ -34,6 +34,8 @@
 // Without the SIGBUS guard some helpers of the map have no use.
 #![cfg_attr(not(unix), allow(dead_code))]
 
+mod codec;
+
 pub mod conformance;
 
 mod analyze;
@@ -54,10 +56,14 @@ mod error;
 
 mod forward;
 
+#[cfg(feature = "hdf5")]
+mod hdf5;
+
 mod header;
 
 mod input;
 
+mod jpeg;
 mod lines;
 
 mod map;
@@ -95,12 +101,16 @@ mod record;
 mod registry;
 
 mod shares;
+mod slices;
+mod store;
 
 mod stored;
 
 mod stream;
 
 mod text;
+mod tiff;
+mod vdb;
 
 mod vol;
 
@@ -110,6 +120,7 @@ mod vtk;
 
 pub mod write;
 
+mod zarr;
 mod zip;
 
 pub use error::{Error, ErrorKind};
@@ -119,4 +130,5 @@ pub use header::{
 pub use open::{open, open_stream};
 pub use options::{IoMode, OpenOptions, RawLayout};
 pub use registry::{Choices, FormatInfo, formats};
+pub use store::open_url;
 pub use volume::{ForwardVoxels, RandomVoxels, SourceInfo, Volume, Voxels};

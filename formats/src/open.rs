@@ -6,7 +6,7 @@
 //! that cannot run forward is copied to memory, up to a limit, or to disk.
 
 use std::fs::File;
-use std::io::Read;
+use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
 
 use crate::bytes::FileBytes;
@@ -23,7 +23,7 @@ use crate::shares::{SharesVoxels, undecoded};
 use crate::stored::StoredVoxels;
 use crate::stream::{ends_early, trailing};
 use crate::volume::{SourceInfo, Volume, Voxels};
-use crate::{nifti, raw, vol};
+use crate::{nifti, raw, slices, vol};
 
 /// Opens the volume at `path`: a file, or a folder of a format that uses folders.
 ///
@@ -59,7 +59,13 @@ pub fn open_stream(
 fn open_whole(path: &Path, options: &OpenOptions) -> Result<Volume, Error> {
     let name = path.display().to_string();
     let cannot_open = |e| Error::io(&name, "cannot be opened", e);
-    let metadata = std::fs::metadata(path).map_err(cannot_open)?;
+    let metadata = match std::fs::metadata(path) {
+        Err(e) if e.kind() == ErrorKind::NotFound && slices::is_pattern(path) => {
+            registry::check_choices(Format::Slices, &name, options)?;
+            return slices::open_pattern(path, options);
+        }
+        metadata => metadata.map_err(cannot_open)?,
+    };
     if metadata.is_dir() {
         return open_folder(path, &name, options);
     }
@@ -113,6 +119,7 @@ fn open_whole(path: &Path, options: &OpenOptions) -> Result<Volume, Error> {
             }
             volume
         }
+        #[cfg(not(feature = "hdf5"))]
         Reader::Missing => return Err(Error::unsupported(&name, "is not read by this build")),
     };
     volume.header.warnings.extend(warning);
@@ -188,6 +195,7 @@ fn open_whole_stream(
             volume.source.compressed |= source.compressed;
             Ok(volume)
         }
+        #[cfg(not(feature = "hdf5"))]
         Reader::Missing => Err(Error::unsupported(name, "is not read by this build")),
     }
 }

@@ -40,6 +40,8 @@ mod metaimage;
 
 /// NRRD: headers, and the files of the shared folder.
 mod nrrd;
+/// OpenVDB grids.
+mod vdb;
 
 /// Files that change while they are mapped.
 mod guard;
