@@ -362,10 +362,16 @@ fn decode(
             *byte = from;
         }
     }
-    // These codecs know nothing of bits above the stored ones, and may have fewer.
+    // These codecs have no bits below the stored ones, and may have fewer. With loss they may
+    // pass the highest stored value a little, which must not make it a low one.
+    let stored = if image.syntax.is_lossy() && !native.signed {
+        u32::from(image.allocated)
+    } else {
+        native.stored.min(precision.into())
+    };
     Ok(Bits {
         shift: 0,
-        stored: native.stored.min(precision.into()),
+        stored,
         ..little
     })
 }
