@@ -31,6 +31,19 @@ impl Extents {
         self.columns * self.rows
     }
 
+    /// An error if `bytes` compressed bytes cannot hold so many samples, each byte at most `most`:
+    /// checked before the samples get their memory.
+    pub(super) fn check_ratio(self, bytes: usize, most: usize) -> CodecResult<()> {
+        let samples = self.samples();
+        if samples / most <= bytes {
+            return Ok(());
+        }
+        Err(format!(
+            "{bytes} compressed bytes cannot hold {} x {} samples",
+            self.columns, self.rows
+        ))
+    }
+
     /// An error if the compressed image has other extents.
     pub(super) fn check(self, columns: usize, rows: usize) -> CodecResult<()> {
         if (columns, rows) == (self.columns, self.rows) {
