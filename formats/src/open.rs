@@ -62,7 +62,9 @@ fn open_whole(path: &Path, options: &OpenOptions) -> Result<Volume, Error> {
     let metadata = match std::fs::metadata(path) {
         Err(e) if e.kind() == ErrorKind::NotFound && slices::is_pattern(path) => {
             registry::check_choices(Format::Slices, &name, options)?;
-            return slices::open_pattern(path, options);
+            let volume = slices::open_pattern(path, options)?;
+            check_extents(&volume.header, &name)?;
+            return Ok(volume);
         }
         metadata => metadata.map_err(cannot_open)?,
     };

@@ -8,7 +8,7 @@ use clap::{Args, ValueEnum};
 use curvox_formats::mesh::{MeshFormat, recognise_mesh};
 use curvox_formats::{
     Content, DType, Format, Header, IoMode, OpenOptions, RawLayout, Unit, Volume, VoxelType, open,
-    open_stream,
+    open_stream, open_url,
 };
 
 use crate::lattice::{Lattice, LatticeError};
@@ -23,7 +23,11 @@ pub(crate) const STDIN: &str = "-";
 /// Options of the input.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct InputArgs {
-    /// Volume to read: a file, a folder, or - for standard input
+    /// Volume to read: a file, a folder, a quoted pattern of slices, a URL, or - for standard input
+    ///
+    /// Patterns as in 'scan/slice_*.tif', in natural order. URLs begin with http://, https:// or s3://
+    /// and need the cargo feature 'remote'; credentials come from the environment or the profile of AWS,
+    /// never from here.
     ///
     /// The format is recognised by the content, not the name; `curvox formats` lists what is read.
     /// Compression of the whole file (gzip, zstd) is undone on the way.
@@ -168,6 +172,17 @@ impl InputArgs {
         }
     }
 
+    /// Opens a path or a URL.
+    fn open_named(&self, options: &OpenOptions) -> Result<Volume, curvox_formats::Error> {
+        const SCHEMES: [&str; 3] = ["http://", "https://", "s3://"];
+        match self.input.to_str() {
+            Some(url) if SCHEMES.iter().any(|scheme| url.starts_with(scheme)) => {
+                open_url(url, options)
+            }
+            _ => open(&self.input, options),
+        }
+    }
+
     /// Opens the volume; its header is as the command line says where that overrides the file.
     pub(crate) fn open(&self) -> Result<Volume> {
         let options = self.options()?;
@@ -179,15 +194,16 @@ impl InputArgs {
             }
             open_stream(Box::new(std::io::stdin()), &self.name(), &options)?
         } else {
-            open(&self.input, &options).map_err(|error| match self.mesh_format() {
-                Some(format) => BadInput(format!(
-                    "{}: is a mesh ({}), not a volume; its curvatures: curvox mesh {0} -o out",
-                    self.name(),
-                    format.name()
-                ))
-                .into(),
-                None => anyhow::Error::from(error),
-            })?
+            self.open_named(&options)
+                .map_err(|error| match self.mesh_format() {
+                    Some(format) => BadInput(format!(
+                        "{}: is a mesh ({}), not a volume; its curvatures: curvox mesh {0} -o out",
+                        self.name(),
+                        format.name()
+                    ))
+                    .into(),
+                    None => anyhow::Error::from(error),
+                })?
         };
         if let Some(Spacing { edges, unit }) = self.spacing {
             let header = &mut volume.header;
