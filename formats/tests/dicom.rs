@@ -326,23 +326,25 @@ fn one_scaling_stays_beside_the_voxels_and_several_are_applied() {
 
 #[test]
 fn what_is_no_grey_image_is_refused_by_name() {
-    type Change = fn(&mut Slice);
+    type Change = fn(&mut Slice) -> &mut Slice;
     let cases: [(Change, &str); 6] = [
         (
-            |s| drop(s.text(0x0028_0004, b"CS", "PALETTE COLOR")),
+            |s| s.text(0x0028_0004, b"CS", "PALETTE COLOR"),
             "PALETTE COLOR",
         ),
-        (|s| drop(s.u16(0x0028_0002, 3)), "3 samples a pixel"),
+        (|s| s.u16(0x0028_0002, 3), "3 samples a pixel"),
         (
-            |s| drop(s.text(0x0008_0008, b"CS", "ORIGINAL\\MOSAIC")),
+            |s| s.text(0x0008_0008, b"CS", "ORIGINAL\\MOSAIC"),
             "Siemens mosaic",
         ),
-        (|s| drop(s.u16(0x0028_0100, 12)), "BitsAllocated"),
-        (|s| drop(s.u16(0x0028_0010, 0)), "3 x 0 pixels"),
-        (|s| drop(s.without(0x0028_0010)), "no Rows"),
+        (|s| s.u16(0x0028_0100, 12), "BitsAllocated"),
+        (|s| s.u16(0x0028_0010, 0), "3 x 0 pixels"),
+        (|s| s.without(0x0028_0010), "no Rows"),
     ];
     for (change, part) in cases {
-        let message = error_of(&series(2, |_, slice| change(slice)));
+        let message = error_of(&series(2, |_, slice| {
+            change(slice);
+        }));
         assert!(message.contains(part), "{part}: {message}");
     }
 }

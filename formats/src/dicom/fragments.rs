@@ -33,11 +33,8 @@ impl Fragments {
         let mut stream = Stream::plain(bytes.clone(), image.pixels.at);
         let mut fragments = Vec::new();
         let mut table = None;
-        loop {
-            let Some(item) = element::next(&mut stream, Encoding::EXPLICIT)? else {
-                // The delimiter is missing from some files that are whole.
-                break;
-            };
+        // The delimiter at the end is missing from some files that are whole.
+        while let Some(item) = element::next(&mut stream, Encoding::EXPLICIT)? {
             match (item.tag, item.length) {
                 (SEQUENCE_END, _) => break,
                 (ITEM, Some(length)) => {

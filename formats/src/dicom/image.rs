@@ -229,10 +229,7 @@ fn read_meta(bytes: &FileBytes, start: u64) -> Result<(String, u64), Error> {
     let mut stream = Stream::plain(bytes.clone(), start);
     let mut uid = String::new();
     let mut end = start;
-    loop {
-        let Some(element) = element::next(&mut stream, Encoding::EXPLICIT)? else {
-            break;
-        };
+    while let Some(element) = element::next(&mut stream, Encoding::EXPLICIT)? {
         if element.tag >> 16 != 2 {
             break;
         }

@@ -13,7 +13,7 @@ use crate::chunked::Chunks;
 use crate::error::Error;
 use crate::header::{ByteOrder, Scaling, VoxelType};
 
-use super::codec::{CodecResult, Extents, jpeg, jpegls, rle};
+use super::codec::{CodecResult, Extents, jpeg, jpeg2000, jpegls, rle};
 use super::fragments::Fragments;
 use super::image::{Image, SampleKind};
 use super::series::Plane;
@@ -113,12 +113,6 @@ pub(super) fn check(image: &Image) -> Result<(), Error> {
     }
     match (&image.syntax, image.pixels.length) {
         (Syntax::Refused(syntax), _) => unsupported(format!("{syntax} is not read")),
-        #[cfg(not(feature = "jpeg2000"))]
-        (Syntax::Encapsulated(Codec::Jpeg2000 { .. }), _) => unsupported(
-            "JPEG 2000 is read by builds with the cargo feature 'jpeg2000', which this one was \
-             made without"
-                .into(),
-        ),
         (Syntax::Encapsulated(_), None) => Ok(()),
         (Syntax::Encapsulated(_), Some(_)) => {
             Err(Error::invalid(&name, "compressed pixels are not in fragments").at(image.pixels.at))
@@ -354,10 +348,7 @@ fn decode(
         }
         Codec::Jpeg { .. } => jpeg::decode(data, extents, &mut samples)?,
         Codec::JpegLs { .. } => jpegls::decode(data, extents, &mut samples)?,
-        #[cfg(feature = "jpeg2000")]
-        Codec::Jpeg2000 { .. } => super::codec::jpeg2000::decode(data, extents, &mut samples)?,
-        #[cfg(not(feature = "jpeg2000"))]
-        Codec::Jpeg2000 { .. } => return Err("JPEG 2000 is not read by this build".into()),
+        Codec::Jpeg2000 { .. } => jpeg2000::decode(data, extents, &mut samples)?,
     };
     if image.kind == SampleKind::Float || sample_bytes == 0 {
         return Err(format!(
@@ -371,10 +362,16 @@ fn decode(
             *byte = from;
         }
     }
-    // These codecs know nothing of bits above the stored ones, and may have fewer.
+    // These codecs have no bits below the stored ones, and may have fewer. With loss they may
+    // pass the highest stored value a little, which must not make it a low one.
+    let stored = if image.syntax.is_lossy() && !native.signed {
+        u32::from(image.allocated)
+    } else {
+        native.stored.min(precision.into())
+    };
     Ok(Bits {
         shift: 0,
-        stored: native.stored.min(precision.into()),
+        stored,
         ..little
     })
 }

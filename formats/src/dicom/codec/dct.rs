@@ -51,6 +51,8 @@ pub(super) fn decode(
     out: &mut Vec<u16>,
 ) -> CodecResult<()> {
     let Extents { columns, rows } = extents;
+    // Each block of 64 samples has at least two bits.
+    extents.check_ratio(bits.length(), 256)?;
     reserve(out, extents.samples())?;
     out.resize(extents.samples(), 0);
     let cosines = cosines();

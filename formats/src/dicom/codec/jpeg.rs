@@ -283,6 +283,11 @@ impl<'a> Bits<'a> {
         }
     }
 
+    /// Bytes of the scan and what follows it.
+    pub(super) fn length(&self) -> usize {
+        self.data.len()
+    }
+
     fn fill(&mut self) {
         while self.count <= 48 {
             let Some(&byte) = self.data.get(self.at) else {
@@ -374,6 +379,8 @@ fn lossless(
     }
     let width = extents.columns;
     let expected = extents.samples();
+    // Each sample has at least one bit.
+    extents.check_ratio(bits.length(), 8)?;
     reserve(out, expected)?;
     let first = 1_i32 << (frame.precision - scan.shift - 1);
     // Samples at which prediction begins anew, as on the first line.

@@ -15,6 +15,9 @@ pub(in crate::dicom) fn decode(
     extents: Extents,
     out: &mut Vec<u16>,
 ) -> CodecResult<u8> {
+    /// An empty plane has some hundred bytes, whatever its size.
+    const MOST_SAMPLES: usize = 1 << 17;
+    extents.check_ratio(data.len(), MOST_SAMPLES)?;
     let size = check_headers(data, extents)?;
     let settings = DecodeSettings {
         resolve_palette_indices: false,

@@ -309,6 +309,8 @@ impl<'a> Scan<'a> {
 
     fn decode(&mut self, extents: Extents, restart: usize, out: &mut Vec<u16>) -> CodecResult<()> {
         let Extents { columns, rows } = extents;
+        // Each line has at least one bit.
+        extents.check_ratio(self.bits.data.len(), columns.saturating_mul(8))?;
         reserve(out, extents.samples())?;
         let fresh = (self.contexts, self.interruptions);
         // One sample more on either side: c of the first and d of the last column.

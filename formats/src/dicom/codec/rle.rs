@@ -27,6 +27,8 @@ pub(in crate::dicom) fn decode(
             "{segments} RLE segments found, {sample_bytes} expected"
         ));
     }
+    // Two bytes are a run of at most 128.
+    extents.check_ratio(data.len(), 64)?;
     let samples = extents.samples();
     out.clear();
     out.try_reserve_exact(samples * sample_bytes)

@@ -9,7 +9,6 @@ pub(super) mod dct;
 
 pub(super) mod jpeg;
 
-#[cfg(feature = "jpeg2000")]
 pub(super) mod jpeg2000;
 
 pub(super) mod jpegls;
@@ -30,6 +29,19 @@ impl Extents {
     /// Samples of one frame. The caller has checked that the product fits.
     pub(super) fn samples(self) -> usize {
         self.columns * self.rows
+    }
+
+    /// An error if `bytes` compressed bytes cannot hold so many samples, each byte at most `most`:
+    /// checked before the samples get their memory.
+    pub(super) fn check_ratio(self, bytes: usize, most: usize) -> CodecResult<()> {
+        let samples = self.samples();
+        if samples / most <= bytes {
+            return Ok(());
+        }
+        Err(format!(
+            "{bytes} compressed bytes cannot hold {} x {} samples",
+            self.columns, self.rows
+        ))
     }
 
     /// An error if the compressed image has other extents.
