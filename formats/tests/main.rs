@@ -35,6 +35,14 @@ mod meshes;
 /// Files that change while they are mapped.
 mod guard;
 
+/// A web server on the loopback interface that fails on request.
+#[cfg(feature = "remote")]
+mod server;
+
+/// Volumes on servers: a web server that fails on request, Python's, and an S3 server.
+#[cfg(feature = "remote")]
+mod remote;
+
 /// The shared folder: same volumes in many formats, broken files, real files.
 mod shared;
 
