@@ -229,7 +229,8 @@ mod tests {
     use crate::conformance;
     use crate::header::{DType, Format, VoxelType};
     use crate::input::Input;
-    use crate::stored::{AxisOrder, StoredVoxels};
+    use crate::order::AxisOrder;
+    use crate::stored::StoredVoxels;
     use crate::stream::StreamVoxels;
     use crate::volume::SourceInfo;
 
@@ -239,10 +240,11 @@ mod tests {
         let bytes: Vec<u8> = (0..count).flat_map(u16::to_le_bytes).collect();
         let voxels = if forward {
             let input = Input::new(std::io::Cursor::new(bytes));
-            Voxels::Forward(Box::new(StreamVoxels::new(input, "n", &header, 0)))
+            let order = AxisOrder::X_FASTEST;
+            Voxels::Forward(Box::new(StreamVoxels::new(input, "n", &header, order, 0)))
         } else {
             let bytes = FileBytes::memory("n", bytes);
-            let order = AxisOrder::XFastest;
+            let order = AxisOrder::X_FASTEST;
             Voxels::Random(Box::new(StoredVoxels::new(bytes, "n", 0, &header, order)))
         };
         Volume {

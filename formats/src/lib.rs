@@ -21,7 +21,8 @@
 //!
 //! The rooms, in the order of the data: `input` (bytes forward, decompressed), `map` and `bytes`
 //! (bytes anywhere), one file or folder a format, `registry` and `detect` (which of them), `open`
-//! (who gets what), `parsed` (what a header says), `forward`, `stream`, `stored` and `chunked`
+//! (who gets what), `parsed` (what a header says), `lines`, `placement` and `beside` (text headers, places in the
+//! world, files that a header names), `text` and `shares` (voxels as text, in several files), `forward`, `stream`, `stored` and `chunked`
 //! (planes and boxes), `crop` (a part of them), [`mesh`] (polygons), [`mod@write`] (small
 //! outputs), [`conformance`] (what every reader must do).
 //!
@@ -36,6 +37,10 @@
 mod codec;
 
 pub mod conformance;
+
+mod analyze;
+
+mod beside;
 
 mod bytes;
 
@@ -53,36 +58,63 @@ mod header;
 
 mod input;
 
+mod jpeg;
+mod lines;
+
 mod map;
 
 pub mod mesh;
+
+mod metaimage;
+
+mod mgh;
+
+mod mrc;
 
 mod nifti;
 
 mod npy;
 
+mod npz;
+
+mod nrrd;
+
 mod open;
 
 mod options;
 
+mod order;
+
 mod parsed;
+
+mod placement;
 
 mod raw;
 
+mod record;
+
 mod registry;
 
+mod shares;
+mod slices;
 mod store;
 
 mod stored;
 
 mod stream;
 
+mod text;
+mod tiff;
+
 mod vol;
 
 mod volume;
 
+mod vtk;
+
 pub mod write;
 
+mod zip;
 mod zarr;
 
 pub use error::{Error, ErrorKind};

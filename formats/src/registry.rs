@@ -13,7 +13,7 @@ use crate::input::Input;
 use crate::options::OpenOptions;
 use crate::parsed::{Context, Parsed};
 use crate::volume::Volume;
-use crate::{nifti, npy, raw, vol, zarr};
+use crate::{metaimage, mgh, mrc, nifti, npy, npz, nrrd, raw, slices, tiff, vol, vtk, zarr};
 
 /// What there is to know about a format before a file is opened.
 #[derive(Clone, Copy, Debug)]
@@ -63,6 +63,9 @@ const FRAME: Choices = Choices {
     ..NONE
 };
 
+const DATASET: Choices = Choices {
+    dataset: true,
+    ..NONE
 const ALL: Choices = Choices {
     frame: true,
     channel: true,
@@ -116,6 +119,66 @@ static FORMATS: &[FormatInfo] = &[
         missing_feature: None,
     },
     FormatInfo {
+        format: Format::Analyze,
+        names: &["analyze"],
+        title: "Analyze 7.5",
+        extensions: ".hdr/.img",
+        variants: "pair, either byte order; SPM's factor and types",
+        forward: true,
+        choices: FRAME,
+        missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::Nrrd,
+        names: &["nrrd", "nhdr"],
+        title: "NRRD",
+        extensions: ".nrrd .nhdr",
+        variants: "attached, detached, lists and patterns of files; raw, text, hex, gzip, bzip2, zstd",
+        forward: true,
+        choices: FRAME,
+        missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::Mgh,
+        names: &["mgh", "mgz"],
+        title: "FreeSurfer MGH",
+        extensions: ".mgh .mgz",
+        variants: "version 1; u8, i16, u16, i32, f32; frames",
+        forward: true,
+        choices: FRAME,
+        missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::MetaImage,
+        names: &["metaimage", "mha", "mhd"],
+        title: "MetaImage",
+        extensions: ".mha .mhd",
+        variants: "attached, detached, lists and patterns of files; binary, text, zlib",
+        forward: true,
+        choices: FRAME,
+        missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::Mrc,
+        names: &["mrc", "ccp4", "map"],
+        title: "MRC/CCP4",
+        extensions: ".mrc .map .ccp4 .rec .st",
+        variants: "modes 0, 1, 2, 6, 12, either byte order, any order of axes; volume stacks",
+        forward: true,
+        choices: FRAME,
+        missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::Vtk,
+        names: &["vtk"],
+        title: "VTK legacy",
+        extensions: ".vtk",
+        variants: "structured points, binary and ASCII, point and cell data, scalars and fields",
+        forward: true,
+        choices: DATASET,
+        missing_feature: None,
+    },
+    FormatInfo {
         format: Format::Npy,
         names: &["npy"],
         title: "NumPy array",
@@ -123,6 +186,16 @@ static FORMATS: &[FormatInfo] = &[
         variants: "format 1 to 3, C and Fortran order, either byte order",
         forward: true,
         choices: NONE,
+        missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::Npz,
+        names: &["npz"],
+        title: "NumPy archive",
+        extensions: ".npz",
+        variants: "stored and deflated members",
+        forward: false,
+        choices: DATASET,
         missing_feature: None,
     },
     FormatInfo {
@@ -144,6 +217,35 @@ static FORMATS: &[FormatInfo] = &[
         forward: true,
         choices: NONE,
         missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::Tiff,
+        names: &["tiff", "tif"],
+        title: "TIFF",
+        extensions: ".tif .tiff .ome.tif .btf .lsm",
+        variants: "BigTIFF, ImageJ, OME; strips and tiles; LZW, deflate, zstd, PackBits, CCITT, grey JPEG; 1 to 64 bits",
+        forward: false,
+        choices: Choices {
+            frame: true,
+            channel: true,
+            dataset: true,
+            level: true,
+        },
+        missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::Slices,
+        names: &["slices"],
+        title: "slices",
+        extensions: "a folder or 'pattern*' of .tif .png .jpg .pgm",
+        variants: "one grey image a plane, in natural order",
+        forward: false,
+        choices: Choices {
+            frame: true,
+            channel: true,
+            dataset: true,
+            level: true,
+        },
     },
     FormatInfo {
         format: Format::Zarr,
@@ -196,6 +298,16 @@ pub(crate) static READERS: &[Entry] = &[
         reader: Reader::Header(npy::parse),
     },
     Entry {
+        format: Format::Npz,
+        detect: npz::detect,
+        reader: Reader::Bytes(npz::open),
+    },
+    Entry {
+        format: Format::Analyze,
+        detect: |head| nifti::detect(head) == Some(Format::Analyze),
+        reader: Reader::Header(nifti::parse),
+    },
+    Entry {
         format: Format::Nifti1,
         detect: |head| nifti::detect(head) == Some(Format::Nifti1),
         reader: Reader::Header(nifti::parse),
@@ -206,6 +318,16 @@ pub(crate) static READERS: &[Entry] = &[
         reader: Reader::Header(nifti::parse),
     },
     Entry {
+        format: Format::Nrrd,
+        detect: |head| head.starts_with(nrrd::MAGIC),
+        reader: Reader::Header(nrrd::parse),
+    },
+    Entry {
+        format: Format::MetaImage,
+        detect: metaimage::detect,
+        reader: Reader::Header(metaimage::parse),
+    },
+    Entry {
         format: Format::Vol,
         detect: |head| vol::detect(head) == Some(Format::Vol),
         reader: Reader::Header(vol::parse),
@@ -214,6 +336,31 @@ pub(crate) static READERS: &[Entry] = &[
         format: Format::Longvol,
         detect: |head| vol::detect(head) == Some(Format::Longvol),
         reader: Reader::Header(vol::parse),
+    },
+    Entry {
+        format: Format::Vtk,
+        detect: vtk::detect,
+        reader: Reader::Header(vtk::parse),
+    },
+    Entry {
+        format: Format::Mrc,
+        detect: mrc::detect,
+        reader: Reader::Header(mrc::parse),
+    },
+    Entry {
+        format: Format::Mgh,
+        detect: mgh::detect,
+        reader: Reader::Header(mgh::parse),
+    },
+    Entry {
+        format: Format::Tiff,
+        detect: tiff::detect,
+        reader: Reader::Bytes(tiff::open),
+    },
+    Entry {
+        format: Format::Slices,
+        detect: slices::is_image,
+        reader: Reader::Bytes(slices::refuse_one),
     },
     Entry {
         format: Format::Raw,
@@ -231,6 +378,11 @@ pub(crate) struct Folder {
 }
 
 /// Readers of folders. The first that recognises the folder is taken.
+pub(crate) static FOLDERS: &[Folder] = &[Folder {
+    format: Format::Slices,
+    detect: slices::detect,
+    open: slices::open_folder,
+}];
 pub(crate) static FOLDERS: &[Folder] = &[
     Folder {
         format: Format::Zarr,

@@ -32,6 +32,12 @@ mod mutation;
 /// Meshes: every form of OBJ, PLY and STL, and damage to them.
 mod meshes;
 
+/// MetaImage: headers, and the files of the shared folder.
+mod metaimage;
+
+/// NRRD: headers, and the files of the shared folder.
+mod nrrd;
+
 /// Files that change while they are mapped.
 mod guard;
 
@@ -45,6 +51,21 @@ mod remote;
 
 /// The shared folder: same volumes in many formats, broken files, real files.
 mod shared;
+
+/// MRC and CCP4 maps, and axes in any order.
+mod mrc;
+
+/// FreeSurfer MGH.
+mod mgh;
+
+/// Analyze 7.5.
+mod analyze;
+
+/// Legacy VTK.
+mod vtk;
+
+/// NumPy archives.
+mod npz;
 
 /// Figures, not checks: run with `--release -- --ignored --nocapture speed`.
 mod speed;
