@@ -34,8 +34,6 @@
 // Without the SIGBUS guard some helpers of the map have no use.
 #![cfg_attr(not(unix), allow(dead_code))]
 
-mod codec;
-
 pub mod conformance;
 
 mod analyze;
@@ -45,6 +43,8 @@ mod beside;
 mod bytes;
 
 mod chunked;
+
+mod codec;
 
 mod crop;
 
@@ -97,6 +97,7 @@ mod registry;
 
 mod shares;
 mod slices;
+
 mod store;
 
 mod stored;
@@ -114,8 +115,9 @@ mod vtk;
 
 pub mod write;
 
-mod zip;
 mod zarr;
+
+mod zip;
 
 pub use error::{Error, ErrorKind};
 pub use header::{

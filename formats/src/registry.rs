@@ -66,6 +66,8 @@ const FRAME: Choices = Choices {
 const DATASET: Choices = Choices {
     dataset: true,
     ..NONE
+};
+
 const ALL: Choices = Choices {
     frame: true,
     channel: true,
@@ -246,6 +248,7 @@ static FORMATS: &[FormatInfo] = &[
             dataset: true,
             level: true,
         },
+        missing_feature: None,
     },
     FormatInfo {
         format: Format::Zarr,
@@ -378,11 +381,6 @@ pub(crate) struct Folder {
 }
 
 /// Readers of folders. The first that recognises the folder is taken.
-pub(crate) static FOLDERS: &[Folder] = &[Folder {
-    format: Format::Slices,
-    detect: slices::detect,
-    open: slices::open_folder,
-}];
 pub(crate) static FOLDERS: &[Folder] = &[
     Folder {
         format: Format::Zarr,
@@ -393,6 +391,11 @@ pub(crate) static FOLDERS: &[Folder] = &[
         format: Format::N5,
         detect: zarr::detect_n5,
         open: zarr::open_n5_folder,
+    },
+    Folder {
+        format: Format::Slices,
+        detect: slices::detect,
+        open: slices::open_folder,
     },
 ];
 

@@ -24,7 +24,7 @@ use zstd::zstd_safe;
 
 use crate::error::{Error, ErrorKind};
 
-pub(crate) use lz4::{lz4_block, lz4_java, lz4_sized};
+pub(crate) use lz4::{lz4_java, lz4_sized};
 
 /// What is wrong with a compressed piece.
 #[derive(Clone, Debug, PartialEq, Eq)]
