@@ -123,8 +123,8 @@ pub use error::{Error, ErrorKind};
 pub use header::{
     ByteOrder, Content, DType, Format, Header, ParseError, Region, Scaling, Unit, VoxelType,
 };
-pub use open::{open, open_stream};
+pub use open::{open, open_stream, open_url};
 pub use options::{IoMode, OpenOptions, RawLayout};
 pub use registry::{Choices, FormatInfo, formats};
-pub use store::open_url;
+pub use store::{is_url, url_name};
 pub use volume::{ForwardVoxels, RandomVoxels, SourceInfo, Volume, Voxels};

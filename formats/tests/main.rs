@@ -41,6 +41,9 @@ mod nrrd;
 /// Files that change while they are mapped.
 mod guard;
 
+/// Zarr, OME-Zarr and N5: the shared volumes, hostile stores, speed.
+mod zarr;
+
 /// A web server on the loopback interface that fails on request.
 #[cfg(feature = "remote")]
 mod server;

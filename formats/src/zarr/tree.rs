@@ -84,7 +84,7 @@ impl<'a> Tree<'a> {
         {
             return Err(Error::unsupported(
                 self.name(""),
-                format!("the path '{path}' leaves the container; allow it with --outside"),
+                format!("the path '{path}' leaves the container; allow it with --allow-outside"),
             ));
         }
         Ok(steps.join("/"))

@@ -118,7 +118,7 @@ impl Address {
 }
 
 /// An address for a message, whatever it is: without a user, a password and a query.
-fn shown(url: &str) -> String {
+pub(super) fn shown(url: &str) -> String {
     let url = url.split(['?', '#']).next().unwrap_or_default();
     match url.split_once("://") {
         Some((scheme, rest)) => {
