@@ -30,6 +30,7 @@ pub(crate) enum Part {
 
 impl Part {
     /// The most bytes that are wanted.
+    #[cfg(feature = "remote")]
     pub(crate) fn most(self) -> u64 {
         match self {
             Self::All { most } => most,

@@ -35,13 +35,12 @@ mod objects;
 #[cfg(feature = "remote")]
 mod sign;
 
+#[cfg(feature = "remote")]
 mod url;
 
 use crate::error::Error;
 use crate::options::OpenOptions;
 use crate::volume::Volume;
-
-use url::Address;
 
 /// Whether a text is an address that [`open_url`](crate::open_url) takes, and not a path.
 pub fn is_url(text: &str) -> bool {
@@ -54,32 +53,40 @@ pub fn is_url(text: &str) -> bool {
 /// An address for a message or a record: without a user, a password and a query, which may hold a
 /// token.
 pub fn url_name(url: &str) -> String {
-    url::shown(url)
+    let url = url.split(['?', '#']).next().unwrap_or_default();
+    match url.split_once("://") {
+        Some((scheme, rest)) => {
+            let (authority, path) = rest.split_once('/').unwrap_or((rest, ""));
+            let host = authority.rsplit('@').next().unwrap_or_default();
+            format!("{scheme}://{host}/{path}")
+        }
+        None => match url.rsplit_once('@') {
+            Some((_, rest)) => rest.to_string(),
+            None => url.to_string(),
+        },
+    }
 }
 
 /// Opens all of the volume at an address.
-pub(crate) fn open_whole_url(url: &str, options: &OpenOptions) -> Result<Volume, Error> {
-    let address = Address::parse(url)?;
-    open_address(&address, options)
-}
-
 #[cfg(not(feature = "remote"))]
-fn open_address(address: &Address, _: &OpenOptions) -> Result<Volume, Error> {
+pub(crate) fn open_whole_url(url: &str, _: &OpenOptions) -> Result<Volume, Error> {
     Err(Error::unsupported(
-        address.name(),
+        url_name(url),
         "this build reads no addresses: it was made without the feature 'remote'",
     ))
 }
 
+/// Opens all of the volume at an address.
 #[cfg(feature = "remote")]
-fn open_address(address: &Address, options: &OpenOptions) -> Result<Volume, Error> {
+pub(crate) fn open_whole_url(url: &str, options: &OpenOptions) -> Result<Volume, Error> {
     use std::sync::Arc;
 
     use crate::header::Format;
     use crate::open::open_whole_stream;
     use crate::zarr;
 
-    let objects = Arc::new(objects::Objects::new(address)?);
+    let address = url::Address::parse(url)?;
+    let objects = Arc::new(objects::Objects::new(&address)?);
     let formats = match options.format {
         _ if options.raw.is_some() => &[][..],
         Some(Format::Zarr) => &[Format::Zarr][..],
