@@ -50,15 +50,21 @@ mod crop;
 
 mod detect;
 
+mod dicom;
+
 mod error;
 
 mod forward;
+
+#[cfg(feature = "hdf5")]
+mod hdf5;
 
 mod header;
 
 mod input;
 
 mod jpeg;
+
 mod lines;
 
 mod map;
@@ -105,7 +111,10 @@ mod stored;
 mod stream;
 
 mod text;
+
 mod tiff;
+
+mod vdb;
 
 mod vol;
 

@@ -143,6 +143,7 @@ fn open_whole(path: &Path, options: &OpenOptions) -> Result<Volume, Error> {
             }
             volume
         }
+        #[cfg(not(feature = "hdf5"))]
         Reader::Missing => return Err(Error::unsupported(&name, "is not read by this build")),
     };
     volume.header.warnings.extend(warning);
@@ -218,6 +219,7 @@ pub(crate) fn open_whole_stream(
             volume.source.compressed |= source.compressed;
             Ok(volume)
         }
+        #[cfg(not(feature = "hdf5"))]
         Reader::Missing => Err(Error::unsupported(name, "is not read by this build")),
     }
 }

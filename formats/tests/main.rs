@@ -32,11 +32,16 @@ mod mutation;
 /// Meshes: every form of OBJ, PLY and STL, and damage to them.
 mod meshes;
 
+/// DICOM series, slices with one thing changed at a time.
+mod dicom;
+
 /// MetaImage: headers, and the files of the shared folder.
 mod metaimage;
 
 /// NRRD: headers, and the files of the shared folder.
 mod nrrd;
+/// OpenVDB grids.
+mod vdb;
 
 /// Files that change while they are mapped.
 mod guard;

@@ -19,7 +19,7 @@ pub(super) fn block_into(data: &[u8], out: &mut [u8]) -> Result<usize, CodecErro
 }
 
 /// Decodes one LZ4 block without any header; `out` is replaced.
-fn lz4_block(data: &[u8], expected: usize, out: &mut Vec<u8>) -> Result<(), CodecError> {
+pub(crate) fn lz4_block(data: &[u8], expected: usize, out: &mut Vec<u8>) -> Result<(), CodecError> {
     out.clear();
     append(data, expected, out)
 }

@@ -25,6 +25,8 @@ use zstd::zstd_safe;
 
 use crate::error::{Error, ErrorKind};
 
+#[cfg(feature = "hdf5")]
+pub(crate) use lz4::lz4_block;
 pub(crate) use lz4::{lz4_java, lz4_sized};
 
 /// What is wrong with a compressed piece.
@@ -54,6 +56,12 @@ impl CodecError {
     /// The same as an error about the file (or the piece of it) called `name`.
     pub(crate) fn of(self, name: &str) -> Error {
         Error::new(self.kind, name, self.message)
+    }
+
+    /// Whether the data is damaged or only not decoded here.
+    #[cfg(feature = "hdf5")]
+    pub(crate) fn kind(&self) -> ErrorKind {
+        self.kind
     }
 
     /// What is wrong, without the place.
