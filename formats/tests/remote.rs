@@ -161,6 +161,49 @@ fn each_chunk_is_asked_for_once_and_each_index_of_a_shard_once() {
     }
 }
 
+/// Copies what is directly in a folder.
+fn copy_files(from: &Path, to: &Path) {
+    std::fs::create_dir_all(to).unwrap();
+    for entry in std::fs::read_dir(from).unwrap() {
+        let path = entry.unwrap().path();
+        let to = to.join(path.file_name().unwrap());
+        if path.is_dir() {
+            copy_files(&path, &to);
+        } else {
+            std::fs::copy(&path, to).unwrap();
+        }
+    }
+}
+
+#[test]
+fn consolidated_metadata_says_what_a_server_does_not_list() {
+    let folder = tempfile::tempdir().unwrap();
+    let write = |name: &str, text: &str| std::fs::write(folder.path().join(name), text).unwrap();
+    for store in ["two", "three"] {
+        copy_files(
+            &fixtures().join("zarr/v2_lz4.zarr"),
+            &folder.path().join(store).join("deep/in"),
+        );
+    }
+    write("two/.zgroup", r#"{"zarr_format": 2}"#);
+    write(
+        "two/.zmetadata",
+        r#"{"metadata": {".zgroup": {}, "deep/.zgroup": {}, "deep/in/.zarray": {}}}"#,
+    );
+    write(
+        "three/zarr.json",
+        r#"{"zarr_format": 3, "node_type": "group", "attributes": {}, "consolidated_metadata":
+        {"metadata": {"deep/in": {}}}}"#,
+    );
+    let server = Server::new(folder.path(), |_| Act::Serve);
+    for store in ["two", "three"] {
+        let url = format!("{}/{store}", server.url);
+        let volume = open_url(&url, &OpenOptions::default()).unwrap();
+        assert_eq!(volume.header.dims, [13, 11, 9]);
+        read(volume).unwrap();
+    }
+}
+
 #[test]
 fn parts_of_a_shard_are_asked_for_not_all_of_it() {
     let server = Server::new(&fixtures(), |_| Act::Serve);
