@@ -20,14 +20,14 @@ use crate::options::OpenOptions;
 use crate::parsed::{Context, Elsewhere, Encoding, Parsed, Start, check_extents};
 use crate::registry::{self, Entry, FOLDERS, READERS, Reader};
 use crate::shares::{SharesVoxels, undecoded};
-use crate::store::{is_url, open_whole_url};
+use crate::store::open_whole_url;
 use crate::stored::StoredVoxels;
 use crate::stream::{ends_early, trailing};
 use crate::volume::{SourceInfo, Volume, Voxels};
 use crate::{nifti, raw, slices, vol};
 
-/// Opens the volume at `path`: a file, a folder of a format that uses folders, or an address, for
-/// which see [`open_url`].
+/// Opens the volume at `path`: a file, or a folder of a format that uses folders. For addresses
+/// there is [`open_url`].
 ///
 /// # Errors
 ///
@@ -78,15 +78,14 @@ pub fn open_stream(
 }
 
 fn open_whole(path: &Path, options: &OpenOptions) -> Result<Volume, Error> {
-    if let Some(url) = path.to_str().filter(|text| is_url(text)) {
-        return open_whole_url(url, options);
-    }
     let name = path.display().to_string();
     let cannot_open = |e| Error::io(&name, "cannot be opened", e);
     let metadata = match std::fs::metadata(path) {
         Err(e) if e.kind() == ErrorKind::NotFound && slices::is_pattern(path) => {
             registry::check_choices(Format::Slices, &name, options)?;
-            return slices::open_pattern(path, options);
+            let volume = slices::open_pattern(path, options)?;
+            check_extents(&volume.header, &name)?;
+            return Ok(volume);
         }
         metadata => metadata.map_err(cannot_open)?,
     };

@@ -29,6 +29,9 @@ mod fixtures;
 /// Damaged copies of them.
 mod mutation;
 
+/// TIFF files and folders of slices.
+mod tiff;
+
 /// Meshes: every form of OBJ, PLY and STL, and damage to them.
 mod meshes;
 

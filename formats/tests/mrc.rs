@@ -61,7 +61,8 @@ fn in_order(axes: [usize; 3], dims: [u64; 3], voxel_bytes: usize, stored: &[u8])
     out
 }
 
-const ORDERS: [[usize; 3]; 6] = [
+/// All orders of axes, fastest first.
+pub const ORDERS: [[usize; 3]; 6] = [
     [0, 1, 2],
     [0, 2, 1],
     [1, 0, 2],
@@ -73,7 +74,8 @@ const ORDERS: [[usize; 3]; 6] = [
 /// Modes, and bytes of a voxel. Eight bytes are tested by NumPy's Fortran order.
 const MODES: [(i32, usize); 3] = [(0, 1), (1, 2), (2, 4)];
 
-fn permuted(axes: [usize; 3], dims: [u64; 3], mode: i32, voxels: &[u8]) -> Vec<u8> {
+/// A file whose axes, fastest first, are stored in the given order.
+pub fn permuted(axes: [usize; 3], dims: [u64; 3], mode: i32, voxels: &[u8]) -> Vec<u8> {
     let mut bytes = head(axes.map(|axis| dims[axis] as i32), mode);
     for (i, axis) in axes.into_iter().enumerate() {
         put(&mut bytes, 64 + 4 * i, axis as i32 + 1);

@@ -2,6 +2,7 @@
 
 use curvox_formats::{DType, IoMode, OpenOptions, Region, VoxelType, Voxels, open};
 
+use crate::mrc::{ORDERS, permuted};
 use crate::support::{Folder, gzip, npy, transposed, vol, zstd};
 
 /// A ball in weak noise: compresses like a scan, about 4 to 1.
@@ -89,8 +90,14 @@ fn speed() {
         planes.finish().unwrap();
         report(what, start, peak);
     }
-    for (what, bytes) in [("npy", &plain), ("npy fortran", &stored)] {
-        let path = folder.write(what, bytes);
+    let mut files = vec![("npy".to_string(), plain), ("npy fortran".into(), stored)];
+    // What the voxels are does not matter.
+    files.extend(ORDERS[1..].iter().map(|axes| {
+        let letters: String = axes.iter().map(|axis| ["x", "y", "z"][*axis]).collect();
+        (format!("mrc {letters}"), permuted(*axes, dims, 0, &voxels))
+    }));
+    for (what, bytes) in files {
+        let path = folder.write(&what, &bytes);
         for io in [IoMode::Map, IoMode::Read] {
             let options = OpenOptions {
                 io,

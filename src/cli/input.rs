@@ -7,8 +7,8 @@ use anyhow::Result;
 use clap::{Args, ValueEnum};
 use curvox_formats::mesh::{MeshFormat, recognise_mesh};
 use curvox_formats::{
-    Content, DType, Format, Header, IoMode, OpenOptions, RawLayout, Unit, Volume, VoxelType, open,
-    open_stream,
+    Content, DType, Format, Header, IoMode, OpenOptions, RawLayout, Unit, Volume, VoxelType,
+    is_url, open, open_stream, open_url, url_name,
 };
 
 use crate::lattice::{Lattice, LatticeError};
@@ -23,7 +23,11 @@ pub(crate) const STDIN: &str = "-";
 /// Options of the input.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct InputArgs {
-    /// Volume to read: a file, a folder, or - for standard input
+    /// Volume to read: a file, a folder, a quoted pattern of slices, a URL, or - for standard input
+    ///
+    /// Patterns as in 'scan/slice_*.tif', in natural order. URLs begin with http://, https:// or s3://
+    /// and need the cargo feature 'remote'; credentials come from the environment or the profile of AWS,
+    /// never from here.
     ///
     /// The format is recognised by the content, not the name; `curvox formats` lists what is read.
     /// Compression of the whole file (gzip, zstd) is undone on the way.
@@ -110,9 +114,17 @@ impl InputArgs {
     pub(crate) fn name(&self) -> String {
         if self.is_stdin() {
             "standard input".into()
+        } else if let Some(url) = self.url() {
+            // What may be secret in it is not shown.
+            url_name(url)
         } else {
             self.input.display().to_string()
         }
+    }
+
+    /// The input, if it is an address.
+    fn url(&self) -> Option<&str> {
+        self.input.to_str().filter(|text| is_url(text))
     }
 
     fn options(&self) -> Result<OpenOptions> {
@@ -168,6 +180,14 @@ impl InputArgs {
         }
     }
 
+    /// Opens a path or a URL.
+    fn open_named(&self, options: &OpenOptions) -> Result<Volume, curvox_formats::Error> {
+        match self.url() {
+            Some(url) => open_url(url, options),
+            None => open(&self.input, options),
+        }
+    }
+
     /// Opens the volume; its header is as the command line says where that overrides the file.
     pub(crate) fn open(&self) -> Result<Volume> {
         let options = self.options()?;
@@ -179,15 +199,16 @@ impl InputArgs {
             }
             open_stream(Box::new(std::io::stdin()), &self.name(), &options)?
         } else {
-            open(&self.input, &options).map_err(|error| match self.mesh_format() {
-                Some(format) => BadInput(format!(
-                    "{}: is a mesh ({}), not a volume; its curvatures: curvox mesh {0} -o out",
-                    self.name(),
-                    format.name()
-                ))
-                .into(),
-                None => anyhow::Error::from(error),
-            })?
+            self.open_named(&options)
+                .map_err(|error| match self.mesh_format() {
+                    Some(format) => BadInput(format!(
+                        "{}: is a mesh ({}), not a volume; its curvatures: curvox mesh {0} -o out",
+                        self.name(),
+                        format.name()
+                    ))
+                    .into(),
+                    None => anyhow::Error::from(error),
+                })?
         };
         if let Some(Spacing { edges, unit }) = self.spacing {
             let header = &mut volume.header;

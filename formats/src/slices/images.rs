@@ -386,7 +386,7 @@ mod tests {
                 bits: 8
             }
         );
-        assert_eq!(start, 29);
+        assert_eq!(start, 30);
         for bad in [
             "P5",
             "P5 3",

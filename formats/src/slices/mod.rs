@@ -159,7 +159,7 @@ fn open_list(
         return Err(Error::unsupported(
             name,
             format!(
-                "slices of different kinds: {} is {}, {} is {}",
+                "slices of different kinds: {} is {}, {} is {}; choose some with a pattern in quotes",
                 names::file_name(&first),
                 kind.name(),
                 names::file_name(other),

@@ -76,6 +76,7 @@ impl Blocks<'_> {
             data.to_mut().iter_mut().for_each(|b| *b = b.reverse_bits());
         }
         let size = self.size(expected)?;
+        let most_size = self.size(layout.row_bytes() * layout.block[1])?;
         let (width, rows) = (layout.block[0], self.size(rows)?);
         let result = match layout.compression {
             Compression::None => {
@@ -85,8 +86,8 @@ impl Blocks<'_> {
             }
             Compression::Lzw => unpress::lzw(&data, size, out),
             Compression::PackBits => unpress::packbits(&data, size, out),
-            Compression::Deflate => unpress::deflate(&data, size, out),
-            Compression::Zstd => unpress::zstd(&data, size, out),
+            Compression::Deflate => unpress::deflate(&data, size, most_size, out),
+            Compression::Zstd => unpress::zstd(&data, size, most_size, out),
             Compression::Huffman => self.fax(Fax::Huffman, &data, rows, out),
             Compression::Group3 => self.fax(Fax::Group3, &data, rows, out),
             Compression::Group4 => self.fax(Fax::Group4, &data, rows, out),

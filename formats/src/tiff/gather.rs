@@ -89,7 +89,7 @@ impl Gathered {
         let planes = if layout.planar { layout.samples } else { 1 };
         let (mut stored, mut promised, mut missing) = (0_u64, 0_u64, 0);
         let mut run = None;
-        let mut is_run = !layout.tiled && layout.is_plain();
+        let mut is_run = !layout.tiled && !layout.planar && layout.compression == Compression::None;
         // Page::read has checked that the tables are as long as that.
         for index in 0..across * down * planes {
             let at = index as usize;
@@ -188,7 +188,7 @@ impl Gathered {
         .at(ifd.at))
     }
 
-    /// Where a single uncompressed page has all its bytes, if it does.
+    /// Where uncompressed pages have all their bytes one behind the other, if they do.
     pub(super) fn start(&self) -> Option<u64> {
         self.run.filter(|_| self.is_run).map(|(start, _)| start)
     }
@@ -206,7 +206,7 @@ impl Gathered {
         let layout = Arc::clone(&page.layout);
         let start = self.start();
         let planes = match (start, self.sources.as_slice()) {
-            (Some(first), [Source::Open(tiff)]) => Planes::Regular {
+            (Some(first), [Source::Open(tiff)]) if layout.is_plain() => Planes::Regular {
                 tiff: tiff.clone(),
                 page: page.clone(),
                 first,

@@ -23,6 +23,7 @@ pub(super) mod tag {
     pub(crate) const PHOTOMETRIC: u16 = 262;
     pub(crate) const FILL_ORDER: u16 = 266;
     pub(crate) const DESCRIPTION: u16 = 270;
+    pub(crate) const ORIENTATION: u16 = 274;
     pub(crate) const STRIP_OFFSETS: u16 = 273;
     pub(crate) const SAMPLES_PER_PIXEL: u16 = 277;
     pub(crate) const ROWS_PER_STRIP: u16 = 278;
@@ -118,6 +119,13 @@ impl Tiff {
     /// Reads the header of the file.
     pub(super) fn new(bytes: FileBytes) -> Result<Self, Error> {
         let head = bytes.read(0, 8)?;
+        if !MAGIC.iter().any(|magic| head.starts_with(*magic)) {
+            return Err(Error::invalid(
+                bytes.name(),
+                "is no TIFF file: it does not begin with II or MM and 42 or 43",
+            )
+            .at(0));
+        }
         let order = match head.get(..2) {
             Some(b"II") => ByteOrder::Little,
             _ => ByteOrder::Big,

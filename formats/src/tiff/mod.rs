@@ -21,12 +21,12 @@
 //! hold what it promises, before the first voxel is read; memory is one block and what it becomes
 //! for each thread, and some hundred bytes a page.
 //!
-//! The crate `tiff` (0.11) is not used. It shows one page of an ImageJ stack above 4 GB, whose
-//! other planes no directory lists; gives an 8-bit sample of 4 bits packed, and values turned round
-//! or not by type; has no FillOrder; keeps the tables of a page in memory and one decoder a
-//! thread. The walk over directories is the smaller part, and the codecs are libraries: `weezl`,
-//! `flate2`, `zstd`, `fax`, `zune-jpeg`. OME-XML is read by `quick-xml`, which runs forward in
-//! constant memory and expands no entities of a document's own.
+//! The crate `tiff` (0.11.3) is not used: of an ImageJ stack above 4 GB it shows the one page that
+//! is listed, it knows no FillOrder, keeps the tables of every page it was asked for in memory, and
+//! decodes through a single cursor, so that threads need a decoder each. The walk over
+//! directories, which the notes of ImageJ and OME need anyway, is the smaller part, and the codecs
+//! are libraries: `weezl`, `flate2`, `zstd`, `fax`, `zune-jpeg`. OME-XML is read by `quick-xml`, which
+//! runs forward in constant memory and expands no entities of a document's own.
 
 mod block;
 
@@ -92,14 +92,7 @@ pub(crate) fn open(bytes: FileBytes, context: &Context<'_>) -> Result<Volume, Er
             format!("dataset {dataset} was asked for, but this TIFF file has no named images"),
         ));
     }
-    // The notes of writers are about pages, so smaller copies of them do not count.
-    let Some(&start) = directories.main.first() else {
-        return Err(Error::invalid(
-            tiff.name(),
-            "all pages are marked as reduced copies or masks of others",
-        ));
-    };
-    let start = tiff.directory(start)?;
+    let start = tiff.directory(directories.main[0])?;
     let page = Page::read(&tiff, &start, None)?;
     let extents = [page.layout.width, page.layout.height];
     let stack = stack::read(&tiff, &first, directories.main.len() as u64, extents)?;
@@ -120,9 +113,13 @@ pub(crate) fn open(bytes: FileBytes, context: &Context<'_>) -> Result<Volume, Er
     let [channel, slice, frame] = stack.strides;
     let offset = choice.channel * channel + choice.frame * frame;
     if stack.contiguous {
-        gathered.add(&tiff, 0, &at_level(&tiff, start.clone(), level)?, |_| {
-            "the page".into()
-        })?;
+        if level > 0 {
+            return Err(Error::unsupported(
+                tiff.name(),
+                format!("level {level} was asked for, but planes without pages have only one"),
+            ));
+        }
+        gathered.add(&tiff, 0, &start, |_| "the page".into())?;
     } else {
         for z in 0..stack.slices {
             // The stack has as many planes as there are pages.
@@ -143,6 +140,7 @@ pub(crate) fn open(bytes: FileBytes, context: &Context<'_>) -> Result<Volume, Er
         .details
         .extend((!stack.kind.is_empty()).then(|| ("notes", stack.kind.to_string())));
     about.note_levels(&start);
+    about.note_orientation(&tiff, &start)?;
     about.note_missing(tiff.name(), &gathered);
     about.warnings.extend(stack.warnings.iter().cloned());
     let gathered = if stack.contiguous {
@@ -166,7 +164,7 @@ pub(crate) fn open(bytes: FileBytes, context: &Context<'_>) -> Result<Volume, Er
 struct Directories {
     /// All of the chain, at least one.
     all: Vec<u64>,
-    /// Those that are no smaller copies or masks of others.
+    /// Those that are no smaller copies or masks of others; all, if that would leave none.
     main: Vec<u64>,
 }
 
@@ -182,6 +180,9 @@ impl Directories {
         }
         if all.is_empty() {
             return Err(Error::invalid(tiff.name(), "has no page").at(4));
+        }
+        if main.is_empty() {
+            main.clone_from(&all);
         }
         Ok(Self { all, main })
     }
@@ -291,8 +292,8 @@ fn contiguous(
         return Err(Error::unsupported(
             tiff.name(),
             format!(
-                "{all} planes are noted, but only one page is listed and it is not plain bytes \
-                 ({}, {})",
+                "{all} planes are noted, but only one page is listed and it is compressed or in \
+                 pieces ({}, {})",
                 layout.compression.name(),
                 layout.in_words()
             ),
@@ -343,6 +344,17 @@ struct About {
 }
 
 impl About {
+    fn note_orientation(&mut self, tiff: &Tiff, ifd: &Ifd) -> Result<(), Error> {
+        let orientation = tiff.first(ifd, tag::ORIENTATION)?.unwrap_or(1);
+        self.warnings.extend((orientation != 1).then(|| {
+            format!(
+                "{}: orientation {orientation} is ignored; rows and columns are in stored order",
+                tiff.name()
+            )
+        }));
+        Ok(())
+    }
+
     fn note_levels(&mut self, ifd: &Ifd) {
         let levels = levels(ifd);
         self.details
@@ -428,6 +440,7 @@ impl About {
         header.scaling = self.scaling;
         header.details = self.details;
         header.warnings = self.warnings;
+        source.held_bytes += planes.held_bytes();
         source.compressed |= layout.compression != Compression::None;
         let planes = PlaneVoxels::new(planes, sample, dims);
         let voxels = planes.into_voxels(&source.name, &header);

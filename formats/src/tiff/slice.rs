@@ -43,6 +43,7 @@ pub(crate) fn open_slices(
     };
     let level = options.level.unwrap_or(0);
     let mut gathered = Gathered::default();
+    let mut about = About::default();
     let mut first: Option<(Stack, Choice, [u64; 2], ByteOrder)> = None;
     for path in paths {
         let name = path.display().to_string();
@@ -78,6 +79,7 @@ pub(crate) fn open_slices(
                 stack.palette_is_display,
                 &context,
             )?;
+            about.note_orientation(&tiff, &ifd)?;
             first = Some((stack, choice, extents, tiff.order));
         }
         let number = gathered.add_source(closed, tiff.bytes.len());
@@ -94,10 +96,7 @@ pub(crate) fn open_slices(
     let Some((stack, choice, extents, order)) = first else {
         return Err(Error::unsupported(&source.name, "there are no slices"));
     };
-    let mut about = About {
-        scaling: stack.scaling,
-        ..About::default()
-    };
+    about.scaling = stack.scaling;
     if stack.depth_is_noted {
         (about.spacing, about.unit) = (stack.spacing, stack.unit);
     }

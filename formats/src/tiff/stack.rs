@@ -63,8 +63,12 @@ impl Stack {
 pub(super) fn read(tiff: &Tiff, ifd: &Ifd, pages: u64, extents: [u64; 2]) -> Result<Stack, Error> {
     let text = tiff.text(ifd, tag::DESCRIPTION)?.unwrap_or_default();
     if text.starts_with(b"ImageJ=") {
-        // Written as Latin-1 by old versions; what is needed of it is ASCII.
-        return imagej(tiff, ifd, pages, &String::from_utf8_lossy(&text));
+        // Old versions write Latin-1, in which each byte is a letter.
+        let text = match std::str::from_utf8(&text) {
+            Ok(text) => text.to_string(),
+            Err(_) => text.iter().map(|b| char::from(*b)).collect(),
+        };
+        return imagej(tiff, ifd, pages, &text);
     }
     if let Some(entry) = ifd.entry(tag::LSM_INFO) {
         return lsm(tiff, &tiff.raw(entry)?, pages, extents);

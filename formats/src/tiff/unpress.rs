@@ -2,17 +2,18 @@
 //!
 //! In: the stored bytes and the number of bytes they must give. Out: exactly that many, or an
 //! error in words. Guaranteed: output grows with what is really there and never beyond what was
-//! asked for. Deflate is by `flate2`, zstd by `zstd`, LZW by `weezl` (streams through a buffer of
-//! our size, stops when it is full), the code tables of CCITT and group 4 by `fax`, whose other
-//! row loops want end-of-line marks that TIFF need not have. PackBits is a few lines.
+//! asked for. Deflate and zstd are in `codec`. LZW is by `weezl` (streams through a buffer of our
+//! size, stops when it is full), the code tables of CCITT and group 4 by `fax`, whose other row
+//! loops want end-of-line marks that TIFF need not have. PackBits is a few lines.
 
 use std::convert::Infallible;
-use std::io::Read;
 
 use fax::decoder::{DecodeStatus, Group4Decoder};
 use fax::maps::{black, white};
 use fax::{BitReader, ByteReader};
 use weezl::{BitOrder, LzwStatus, decode::Configuration};
+
+use crate::codec::{self, CodecError};
 
 /// What went wrong, in words.
 pub(super) type Failure = String;
@@ -21,32 +22,33 @@ fn too_few(found: usize, expected: usize) -> Failure {
     format!("gives {found} bytes, {expected} expected")
 }
 
-/// Deflate with the wrapping of zlib.
-pub(super) fn deflate(data: &[u8], expected: usize, out: &mut Vec<u8>) -> Result<(), Failure> {
-    let damaged = |e| format!("is damaged deflate data: {e}");
-    out.clear();
-    out.reserve(expected.min(data.len().saturating_mul(4)));
-    let mut reader = flate2::bufread::ZlibDecoder::new(data);
-    reader
-        .by_ref()
-        .take(expected as u64)
-        .read_to_end(out)
-        .map_err(damaged)?;
-    if out.len() < expected {
-        return Err(too_few(out.len(), expected));
-    }
-    // To the end of the data, where the checksum is.
-    reader.read(&mut [0]).map_err(damaged)?;
-    Ok(())
+/// Deflate with the wrapping of zlib. Some writers fill the last strip up to `most`.
+pub(super) fn deflate(
+    data: &[u8],
+    expected: usize,
+    most: usize,
+    out: &mut Vec<u8>,
+) -> Result<(), Failure> {
+    first_of(codec::zlib(data, most, out), expected, out)
 }
 
-/// zstd: one or more frames.
-pub(super) fn zstd(data: &[u8], expected: usize, out: &mut Vec<u8>) -> Result<(), Failure> {
-    let damaged = |e| format!("is damaged zstd data, or more than {expected} bytes: {e}");
-    out.clear();
-    out.reserve_exact(expected);
-    let mut decoder = zstd::bulk::Decompressor::new().map_err(damaged)?;
-    decoder.decompress_to_buffer(data, out).map_err(damaged)?;
+/// zstd, of one frame or several.
+pub(super) fn zstd(
+    data: &[u8],
+    expected: usize,
+    most: usize,
+    out: &mut Vec<u8>,
+) -> Result<(), Failure> {
+    first_of(codec::zstd(data, most, out), expected, out)
+}
+
+/// Keeps the first `expected` bytes of what was decoded.
+fn first_of(
+    decoded: Result<(), CodecError>,
+    expected: usize,
+    out: &mut Vec<u8>,
+) -> Result<(), Failure> {
+    decoded.map_err(|e| format!("does not decode: {}", e.message()))?;
     if out.len() < expected {
         return Err(too_few(out.len(), expected));
     }

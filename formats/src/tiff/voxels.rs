@@ -49,6 +49,17 @@ pub(super) enum Planes {
     },
 }
 
+impl Planes {
+    /// Bytes of memory that say where the planes are.
+    pub(super) fn held_bytes(&self) -> u64 {
+        let bytes = match self {
+            Self::Pages { sources, pages } => size_of_val(&**sources) + size_of_val(&**pages),
+            Self::Regular { .. } => 0,
+        };
+        bytes as u64
+    }
+}
+
 /// The planes of a volume, and which of several samples is meant.
 pub(super) struct PlaneVoxels {
     pub(super) planes: Planes,

@@ -97,7 +97,16 @@ impl FileHeader {
                 .at(8));
         }
         let library = [cursor.u32(WHAT)?, cursor.u32(WHAT)?];
-        let has_offsets = cursor.u8(WHAT)? != 0;
+        let at = cursor.offset();
+        let has_offsets = match cursor.u8(WHAT)? {
+            flag @ (0 | 1) => flag == 1,
+            flag => {
+                return Err(cursor.invalid(
+                    at,
+                    format!("the flag of an index is {flag}, 0 or 1 expected"),
+                ));
+            }
+        };
         let zipped = match version {
             version::COMPRESSION_FLAG..version::NODE_MASKS => cursor.u8(WHAT)? != 0,
             _ => true,
@@ -162,6 +171,8 @@ impl Metadata {
     /// Reads the metadata of a file or a grid.
     pub(super) fn read(cursor: &mut Cursor<'_>) -> Result<Self, Error> {
         const WHAT: &str = "the metadata";
+        /// Texts that are longer are not looked at.
+        const MOST_BYTES: u32 = 1 << 12;
         let mut found = Self::default();
         let count = cursor.u32(WHAT)?;
         // Each has at least three lengths, so a wrong count ends at the end of the file.
@@ -173,7 +184,7 @@ impl Metadata {
                 name.as_str(),
                 "class" | "creator" | "is_saved_as_half_float"
             );
-            if !wanted {
+            if !wanted || bytes > MOST_BYTES {
                 cursor.skip(u64::from(bytes), WHAT)?;
                 continue;
             }

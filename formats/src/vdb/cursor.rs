@@ -138,11 +138,11 @@ impl<'a> Cursor<'a> {
         Ok(())
     }
 
-    /// A length and that many bytes. Names of the format are ASCII in practice; what is not
-    /// text, and control characters, are shown as a question mark or a replacement character.
+    /// A length and that many bytes, which are text in practice; what is not becomes replacement
+    /// characters.
     pub(super) fn string(&mut self, what: &str) -> Result<String, Error> {
         /// A longer name is a sign of damage, not a name.
-        const MOST_BYTES: u32 = 1 << 16;
+        const MOST_BYTES: u32 = 1 << 12;
         let at = self.offset();
         let length = self.u32(what)?;
         self.expect(u64::from(length), what)?;

@@ -116,6 +116,8 @@ fn read(file: &FileBytes, context: &Context<'_>) -> Result<(Header, VdbVoxels), 
         .warnings
         .extend(unlisted.map(|reason| format!("{name}: {reason}")));
     file.check()?;
+    // To walk over the leaves was to touch all of the file.
+    voxels::release(file);
     let voxels = VdbVoxels {
         file: file.clone(),
         tree,

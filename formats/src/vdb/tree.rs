@@ -273,6 +273,9 @@ pub(super) struct TreeReader<'a, 'c> {
     leaves: u64,
 }
 
+/// Reads a child at the place given.
+type Child<'f, Reader> = &'f mut dyn FnMut(&mut Reader, [i64; 3]) -> Result<(), Error>;
+
 const WHAT: &str = "the topology of a tree";
 
 /// Bytes a tree may take beyond those of the file: enough for the tiles of any small file.
@@ -404,7 +407,7 @@ impl<'a, 'c> TreeReader<'a, 'c> {
         log2: u32,
         cell_log2: u32,
         child_bytes: u64,
-        child: &mut dyn FnMut(&mut Self, [i64; 3]) -> Result<(), Error>,
+        child: Child<'_, Self>,
     ) -> Result<Node, Error> {
         let cells = 1_usize << (3 * log2);
         let layout = self.decoder.layout;

@@ -28,6 +28,13 @@ pub(super) struct VdbVoxels {
     pub(super) dims: [u64; 3],
 }
 
+/// Gives back what is resident of a file that is mapped.
+pub(super) fn release(file: &FileBytes) {
+    if let (Some(map), Ok(length)) = (file.map(), usize::try_from(file.len())) {
+        map.release(0, length);
+    }
+}
+
 /// A box of the index space of the grid: first index, and the one behind the last.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Span {
@@ -106,6 +113,31 @@ fn numbers(
 
 type Visit<'a> = &'a mut dyn FnMut(Piece) -> Result<(), Error>;
 
+/// Fills a span, unless it has the value already.
+fn fill(span: &Span, value: Value, beneath: Option<Value>, visit: Visit<'_>) -> Result<(), Error> {
+    if beneath == Some(value) {
+        return Ok(());
+    }
+    visit(Piece::Fill(*span, value))
+}
+
+/// Fills all of a node's span with a value that many of its tiles have, and gives what is then
+/// beneath its children and other tiles.
+fn fill_common(
+    node: &Node,
+    span: &Span,
+    beneath: Option<Value>,
+    visit: Visit<'_>,
+) -> Result<Option<Value>, Error> {
+    match &node.tiles {
+        Tiles::One(value) | Tiles::Two(value, ..) => {
+            fill(span, *value, beneath, visit)?;
+            Ok(Some(*value))
+        }
+        Tiles::All(_) => Ok(beneath),
+    }
+}
+
 impl VdbVoxels {
     /// The box of the index space that a region of the volume is.
     fn span(&self, region: &Region) -> Span {
@@ -136,17 +168,23 @@ impl VdbVoxels {
     /// Takes `span` apart. Later pieces lie over earlier ones.
     fn visit(&self, span: &Span, visit: Visit<'_>) -> Result<(), Error> {
         let (roots, covered) = self.roots(span);
-        if !covered {
+        // The value that lies beneath what follows.
+        let beneath = if covered {
+            None
+        } else {
             visit(Piece::Fill(*span, self.tree.background))?;
-        }
+            Some(self.tree.background)
+        };
         for root in roots {
             let origin = root.cell.map(|i| i64::from(i) << ROOT_CELL_LOG2);
             let Some(span) = span.within(origin, ROOT_CELL_LOG2) else {
                 continue;
             };
             match &root.content {
-                RootContent::Tile(value) => visit(Piece::Fill(span, *value))?,
-                RootContent::Upper(upper) => self.visit_upper(upper, origin, &span, visit)?,
+                RootContent::Tile(value) => fill(&span, *value, beneath, visit)?,
+                RootContent::Upper(upper) => {
+                    self.visit_upper(upper, origin, &span, beneath, visit)?;
+                }
             }
         }
         Ok(())
@@ -157,17 +195,23 @@ impl VdbVoxels {
         upper: &Upper,
         origin: [i64; 3],
         span: &Span,
+        beneath: Option<Value>,
         visit: Visit<'_>,
     ) -> Result<(), Error> {
         let node = &upper.node;
-        let common = self.fill_common(node, span, visit)?;
+        let beneath = fill_common(node, span, beneath, visit)?;
         for (n, origin) in cells(span, origin, UPPER_LOG2, UPPER_CELL_LOG2) {
             let Some(span) = span.within(origin, UPPER_CELL_LOG2) else {
                 continue;
             };
             match node.child(n).and_then(|i| upper.lowers.get(i)) {
-                Some(lower) => self.visit_lower(lower, origin, &span, visit)?,
-                None => self.fill_tile(node, n, common, span, visit)?,
+                Some(lower) => self.visit_lower(lower, origin, &span, beneath, visit)?,
+                None => fill(
+                    &span,
+                    node.tiles.value(n, self.layout.bytes),
+                    beneath,
+                    visit,
+                )?,
             }
         }
         Ok(())
@@ -178,10 +222,11 @@ impl VdbVoxels {
         lower: &Lower,
         origin: [i64; 3],
         span: &Span,
+        beneath: Option<Value>,
         visit: Visit<'_>,
     ) -> Result<(), Error> {
         let node = &lower.node;
-        let common = self.fill_common(node, span, visit)?;
+        let beneath = fill_common(node, span, beneath, visit)?;
         for (n, origin) in cells(span, origin, LOWER_LOG2, LOWER_CELL_LOG2) {
             let Some(span) = span.within(origin, LOWER_CELL_LOG2) else {
                 continue;
@@ -193,40 +238,15 @@ impl VdbVoxels {
                     offset,
                     bytes,
                 })?,
-                None => self.fill_tile(node, n, common, span, visit)?,
+                None => fill(
+                    &span,
+                    node.tiles.value(n, self.layout.bytes),
+                    beneath,
+                    visit,
+                )?,
             }
         }
         Ok(())
-    }
-
-    /// Fills all of a node's span with a value that many of its tiles have, which is given.
-    fn fill_common(
-        &self,
-        node: &Node,
-        span: &Span,
-        visit: Visit<'_>,
-    ) -> Result<Option<Value>, Error> {
-        let common = match &node.tiles {
-            Tiles::One(value) | Tiles::Two(value, ..) => *value,
-            Tiles::All(_) => return Ok(None),
-        };
-        visit(Piece::Fill(*span, common))?;
-        Ok(Some(common))
-    }
-
-    fn fill_tile(
-        &self,
-        node: &Node,
-        n: usize,
-        common: Option<Value>,
-        span: Span,
-        visit: Visit<'_>,
-    ) -> Result<(), Error> {
-        let value = node.tiles.value(n, self.layout.bytes);
-        if common == Some(value) {
-            return Ok(());
-        }
-        visit(Piece::Fill(span, value))
     }
 
     fn read<const W: usize>(&self, region: &Region, out: &mut [u8]) -> Result<(), Error> {
@@ -438,6 +458,11 @@ impl RandomVoxels for VdbVoxels {
     fn chunk(&self) -> Option<[u64; 3]> {
         let aligned = self.first.iter().all(|i| i % (1 << LOWER_CELL_LOG2) == 0);
         aligned.then_some([1 << LOWER_CELL_LOG2; 3])
+    }
+
+    /// Leaves of a plane lie all over the file, so all of it is given back.
+    fn release(&self, _z_end: u64) {
+        release(&self.file);
     }
 
     fn uniform(&self, region: &Region) -> Option<Value> {

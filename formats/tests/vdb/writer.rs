@@ -133,7 +133,7 @@ impl Writer<'_> {
     }
 
     fn origin(&mut self, origin: [i32; 3]) {
-        origin.map(|i| self.out.extend(i.to_le_bytes()));
+        self.out.extend(origin.iter().flat_map(|i| i.to_le_bytes()));
     }
 
     fn mask(&mut self, bits: impl IntoIterator<Item = bool>) {
@@ -188,7 +188,7 @@ impl Writer<'_> {
             encoder.finish().unwrap()
         };
         // What does not shrink is left as it is, mostly.
-        if packed.len() < data.len() || blosc && data.len() % 3 > 0 {
+        if packed.len() < data.len() || blosc && !data.len().is_multiple_of(3) {
             self.out.extend((packed.len() as i64).to_le_bytes());
             self.out.extend(packed);
         } else {

@@ -76,7 +76,15 @@ pub(super) fn open(
             format!("the OME-XML of image {}: {what}", image.label()),
         )
     };
-    let samples = image.samples.max(1);
+    let first = tiff.directory(directories.all[0])?;
+    let page = Page::read(tiff, &first, None)?;
+    let samples = page.layout.samples;
+    if image.samples != 0 && image.samples != samples {
+        return Err(bad(format!(
+            "says {} samples a pixel, but the pages have {samples}",
+            image.samples
+        )));
+    }
     if image.sizes.contains(&0) || image.sizes[3] % samples != 0 {
         return Err(bad(format!(
             "has sizes X Y Z C T of {:?} and {samples} samples a pixel",
@@ -85,8 +93,6 @@ pub(super) fn open(
     }
     let [x, y, slices, channels, frames] = image.sizes;
     let counts = [channels / samples, frames];
-    let first = tiff.directory(directories.all[0])?;
-    let page = Page::read(tiff, &first, None)?;
     let choice = Choice::of(name, counts, &page.layout, false, context)?;
     if slices < 2 {
         return Err(flat(name, [x, y]));
@@ -118,6 +124,7 @@ pub(super) fn open(
     about.details.push(("notes", "OME".into()));
     about.details.push(("image", image.label()));
     about.note_levels(&first);
+    about.note_orientation(tiff, &first)?;
     about.note_missing(name, &gathered);
     let gathered = gathered.into_planes(name)?;
     about.coarsen(extents, &gathered.1);
@@ -265,6 +272,8 @@ impl<'a> Files<'a> {
             at
         };
         let mut spots = BTreeMap::new();
+        // Pages are listed once, so this many bounds the time the lists can take.
+        let mut listed = 0_u64;
         for data in &image.tiff_data {
             let TiffData {
                 first, ifd, count, ..
@@ -291,6 +300,17 @@ impl<'a> Files<'a> {
                     &format!("it lists {count} pages from page {ifd} on, but the file has {pages}"),
                 ));
             }
+            listed = listed.saturating_add(count);
+            if listed
+                > self
+                    .pages_known()
+                    .saturating_add(image.tiff_data.len() as u64)
+            {
+                return Err(damaged(
+                    self.tiff.name(),
+                    "it lists more pages than the files have",
+                ));
+            }
             for i in 0..count {
                 let Some(n) = start.checked_add(i) else { break };
                 let [z, c, t] = at(n);
@@ -312,6 +332,12 @@ impl<'a> Files<'a> {
         }
         let own = self.path.and_then(Path::file_name);
         own.is_some_and(|own| own == file.name.as_str())
+    }
+
+    /// Pages of all files that were looked at.
+    fn pages_known(&self) -> u64 {
+        let others = self.others.values().map(|other| other.pages.len());
+        (self.directories.all.len() + others.sum::<usize>()) as u64
     }
 
     /// How many pages a file has. Other files are opened for that.

@@ -189,7 +189,9 @@ impl Ome {
                 };
                 let ifd = number("IFD")?;
                 // Pages without a number of them: one, if the first is said, else all.
-                let count = number("PlaneCount")?.or(ifd.map(|_| 1));
+                let count = number("PlaneCount")?
+                    .or(number("NumPlanes")?)
+                    .or(ifd.map(|_| 1));
                 image.tiff_data.push(TiffData {
                     first: [
                         number("FirstZ")?.unwrap_or(0),
