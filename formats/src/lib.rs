@@ -34,8 +34,6 @@
 // Without the SIGBUS guard some helpers of the map have no use.
 #![cfg_attr(not(unix), allow(dead_code))]
 
-mod codec;
-
 pub mod conformance;
 
 mod analyze;
@@ -45,6 +43,8 @@ mod beside;
 mod bytes;
 
 mod chunked;
+
+mod codec;
 
 mod crop;
 
@@ -64,6 +64,7 @@ mod header;
 mod input;
 
 mod jpeg;
+
 mod lines;
 
 mod map;
@@ -102,6 +103,7 @@ mod registry;
 
 mod shares;
 mod slices;
+
 mod store;
 
 mod stored;
@@ -109,7 +111,9 @@ mod stored;
 mod stream;
 
 mod text;
+
 mod tiff;
+
 mod vdb;
 
 mod vol;
@@ -121,14 +125,15 @@ mod vtk;
 pub mod write;
 
 mod zarr;
+
 mod zip;
 
 pub use error::{Error, ErrorKind};
 pub use header::{
     ByteOrder, Content, DType, Format, Header, ParseError, Region, Scaling, Unit, VoxelType,
 };
-pub use open::{open, open_stream};
+pub use open::{open, open_stream, open_url};
 pub use options::{IoMode, OpenOptions, RawLayout};
 pub use registry::{Choices, FormatInfo, formats};
-pub use store::open_url;
+pub use store::{is_url, url_name};
 pub use volume::{ForwardVoxels, RandomVoxels, SourceInfo, Volume, Voxels};

@@ -20,12 +20,14 @@ use crate::options::OpenOptions;
 use crate::parsed::{Context, Elsewhere, Encoding, Parsed, Start, check_extents};
 use crate::registry::{self, Entry, FOLDERS, READERS, Reader};
 use crate::shares::{SharesVoxels, undecoded};
+use crate::store::open_whole_url;
 use crate::stored::StoredVoxels;
 use crate::stream::{ends_early, trailing};
 use crate::volume::{SourceInfo, Volume, Voxels};
 use crate::{nifti, raw, slices, vol};
 
-/// Opens the volume at `path`: a file, or a folder of a format that uses folders.
+/// Opens the volume at `path`: a file, or a folder of a format that uses folders. For addresses
+/// there is [`open_url`].
 ///
 /// # Errors
 ///
@@ -33,6 +35,25 @@ use crate::{nifti, raw, slices, vol};
 /// claims, or needs a choice ([`OpenOptions::frame`] and the others).
 pub fn open(path: &Path, options: &OpenOptions) -> Result<Volume, Error> {
     let volume = open_whole(path, options)?;
+    match &options.region {
+        None => Ok(volume),
+        Some(region) => crop(volume, region),
+    }
+}
+
+/// Opens the volume at an address: `http://`, `https://` or `s3://BUCKET/KEY`.
+///
+/// For S3, the region is that of `AWS_REGION` or the profile, the endpoint that of
+/// `AWS_ENDPOINT_URL`, and the credentials those of `AWS_ACCESS_KEY_ID`, `AWS_SECRET_ACCESS_KEY`
+/// and `AWS_SESSION_TOKEN`, or of the profile `AWS_PROFILE`; without any, requests are anonymous.
+/// `CURVOX_HTTP_TIMEOUT` is how many seconds a silent server is waited for, 30 if not set.
+///
+/// # Errors
+///
+/// As [`open`], if the server does not answer or refuses to, and if this build was made without
+/// the feature `remote`.
+pub fn open_url(url: &str, options: &OpenOptions) -> Result<Volume, Error> {
+    let volume = open_whole_url(url, options)?;
     match &options.region {
         None => Ok(volume),
         Some(region) => crop(volume, region),
@@ -159,7 +180,7 @@ fn open_folder(path: &Path, name: &str, options: &OpenOptions) -> Result<Volume,
     Ok(volume)
 }
 
-fn open_whole_stream(
+pub(crate) fn open_whole_stream(
     reader: Box<dyn Read + Send>,
     name: &str,
     options: &OpenOptions,

@@ -49,6 +49,17 @@ mod vdb;
 /// Files that change while they are mapped.
 mod guard;
 
+/// Zarr, OME-Zarr and N5: the shared volumes, hostile stores, speed.
+mod zarr;
+
+/// A web server on the loopback interface that fails on request.
+#[cfg(feature = "remote")]
+mod server;
+
+/// Volumes on servers: a web server that fails on request, Python's, and an S3 server.
+#[cfg(feature = "remote")]
+mod remote;
+
 /// The shared folder: same volumes in many formats, broken files, real files.
 mod shared;
 

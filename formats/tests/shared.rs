@@ -97,7 +97,7 @@ pub fn check_manifest(formats: &[&str]) -> Option<usize> {
             };
             results.push(read_all(open(&path, &options).unwrap()).unwrap());
         }
-        if path.extension().is_none_or(|e| e != "hdr") {
+        if path.is_file() && path.extension().is_none_or(|e| e != "hdr") {
             let bytes = std::fs::read(&path).unwrap();
             results.push(read_all(open_bytes(&bytes, &options).unwrap()).unwrap());
         }

@@ -7,8 +7,8 @@ use anyhow::Result;
 use clap::{Args, ValueEnum};
 use curvox_formats::mesh::{MeshFormat, recognise_mesh};
 use curvox_formats::{
-    Content, DType, Format, Header, IoMode, OpenOptions, RawLayout, Unit, Volume, VoxelType, open,
-    open_stream, open_url,
+    Content, DType, Format, Header, IoMode, OpenOptions, RawLayout, Unit, Volume, VoxelType,
+    is_url, open, open_stream, open_url, url_name,
 };
 
 use crate::lattice::{Lattice, LatticeError};
@@ -114,9 +114,17 @@ impl InputArgs {
     pub(crate) fn name(&self) -> String {
         if self.is_stdin() {
             "standard input".into()
+        } else if let Some(url) = self.url() {
+            // What may be secret in it is not shown.
+            url_name(url)
         } else {
             self.input.display().to_string()
         }
+    }
+
+    /// The input, if it is an address.
+    fn url(&self) -> Option<&str> {
+        self.input.to_str().filter(|text| is_url(text))
     }
 
     fn options(&self) -> Result<OpenOptions> {
@@ -174,12 +182,9 @@ impl InputArgs {
 
     /// Opens a path or a URL.
     fn open_named(&self, options: &OpenOptions) -> Result<Volume, curvox_formats::Error> {
-        const SCHEMES: [&str; 3] = ["http://", "https://", "s3://"];
-        match self.input.to_str() {
-            Some(url) if SCHEMES.iter().any(|scheme| url.starts_with(scheme)) => {
-                open_url(url, options)
-            }
-            _ => open(&self.input, options),
+        match self.url() {
+            Some(url) => open_url(url, options),
+            None => open(&self.input, options),
         }
     }
 

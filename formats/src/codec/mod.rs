@@ -18,6 +18,7 @@ mod lz4;
 
 pub(crate) mod shuffle;
 
+use std::cell::RefCell;
 use std::io::Read;
 
 use zstd::zstd_safe;
@@ -142,54 +143,40 @@ pub(crate) fn zstd(data: &[u8], most: usize, out: &mut Vec<u8>) -> Result<(), Co
         Ok(None) => most,
         Err(_) => return Err(CodecError::damaged("the data is not zstd data")),
     };
-    let mut context = zstd_safe::DCtx::create();
     let mut room = at_first(data.len(), most.min(claimed.max(1)));
-    loop {
-        let mut sized = Sized {
-            bytes: std::mem::take(out),
-            room,
-        };
-        let result = sized.decode(&mut context, data);
-        *out = sized.bytes;
-        match result {
-            Ok(()) => return Ok(()),
-            Err(code) => {
-                out.clear();
-                let name = zstd_safe::get_error_name(code);
-                if name != TOO_SMALL {
-                    return Err(CodecError::damaged(format!(
-                        "the zstd data is damaged or cut: {name}"
-                    )));
+    ZSTD.with_borrow_mut(|context| {
+        loop {
+            // Bytes are written to what is reserved, without filling it first.
+            out.reserve_exact(room);
+            let result = context.decompress(out, data);
+            match result {
+                Ok(_) if out.len() <= most => return Ok(()),
+                Ok(_) => {}
+                Err(code) => {
+                    let name = zstd_safe::get_error_name(code);
+                    if name != TOO_SMALL {
+                        out.clear();
+                        return Err(CodecError::damaged(format!(
+                            "the zstd data is damaged or cut: {name}"
+                        )));
+                    }
                 }
-                if room >= most {
-                    return Err(too_much("zstd", most));
-                }
-                room = room.saturating_mul(8).min(most);
             }
+            out.clear();
+            if out.capacity() >= most {
+                return Err(too_much("zstd", most));
+            }
+            room = room.saturating_mul(8).min(most);
         }
-    }
+    })
 }
 
 /// What zstd calls an output that is too small.
 const TOO_SMALL: &str = "Destination buffer is too small";
 
-/// A buffer of which only the first `room` bytes may be filled.
-struct Sized {
-    bytes: Vec<u8>,
-    room: usize,
-}
-
-impl Sized {
-    fn decode(
-        &mut self,
-        context: &mut zstd_safe::DCtx<'_>,
-        data: &[u8],
-    ) -> Result<(), zstd_safe::ErrorCode> {
-        self.bytes.resize(self.room, 0);
-        let decoded = context.decompress(self.bytes.as_mut_slice(), data)?;
-        self.bytes.truncate(decoded);
-        Ok(())
-    }
+thread_local! {
+    /// The working memory of zstd, some 100 KiB, that is made once a thread.
+    static ZSTD: RefCell<zstd_safe::DCtx<'static>> = RefCell::new(zstd_safe::DCtx::create());
 }
 
 /// Takes the last four bytes as the CRC-32C of those before them, little-endian, and gives those.

@@ -14,7 +14,8 @@ mod remote;
 use crate::error::Error;
 
 pub(crate) use folder::Folder;
-pub use remote::open_url;
+pub(crate) use remote::open_whole_url;
+pub use remote::{is_url, url_name};
 
 /// Which bytes of an object are wanted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,6 +30,7 @@ pub(crate) enum Part {
 
 impl Part {
     /// The most bytes that are wanted.
+    #[cfg(feature = "remote")]
     pub(crate) fn most(self) -> u64 {
         match self {
             Self::All { most } => most,

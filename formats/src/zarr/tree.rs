@@ -84,7 +84,7 @@ impl<'a> Tree<'a> {
         {
             return Err(Error::unsupported(
                 self.name(""),
-                format!("the path '{path}' leaves the container; allow it with --outside"),
+                format!("the path '{path}' leaves the container; allow it with --allow-outside"),
             ));
         }
         Ok(steps.join("/"))
@@ -466,12 +466,12 @@ impl<'a> Tree<'a> {
                 Some(Node::Array(array)) => {
                     found.push(Candidate::Array(below, array.shape.clone()));
                 }
-                Some(Node::Group(group)) => {
-                    if !ome::multiscales(&ome::attributes(&group))?.is_empty() {
-                        found.push(Candidate::Image(below));
-                    }
+                Some(Node::Group(group))
+                    if !ome::multiscales(&ome::attributes(&group))?.is_empty() =>
+                {
+                    found.push(Candidate::Image(below));
                 }
-                None => {}
+                Some(Node::Group(_)) | None => {}
             }
         }
         Ok(())

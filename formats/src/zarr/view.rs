@@ -1,9 +1,9 @@
 //! Three axes out of an array of any number.
 //!
 //! In: an array, the names of its axes where these are known, and the choice of a frame and a
-//! channel. Out: which axis is x, y and z, and where the others stand. Without names the last
-//! three axes are z, y, x, and those before them must have one entry. With names, x, y and z may
-//! stand in any order; t is chosen as the frame, c as the channel, and others must have one entry.
+//! channel. Out: which axis is x, y and z, and where the others stand. Axes with these names may
+//! stand in any order; without them the last three axes are z, y, x. Of the others, t (or time) is
+//! chosen as the frame, c (or channel) as the channel, and the rest must have one entry.
 
 use crate::error::Error;
 use crate::options::OpenOptions;
@@ -25,11 +25,11 @@ impl View {
         axes: Option<&[String]>,
         options: &OpenOptions,
     ) -> Result<Self, Error> {
-        let named = axes.and_then(spatial).map(|xyz| (xyz, axes.unwrap_or(&[])));
+        let names = axes.unwrap_or(&[]);
         let count = array.shape.len();
-        let (xyz, names) = match named {
-            Some(found) => found,
-            None if count >= 3 => ([count - 1, count - 2, count - 3], &[][..]),
+        let xyz = match spatial(names) {
+            Some(xyz) => xyz,
+            None if count >= 3 => [count - 1, count - 2, count - 3],
             None => {
                 return Err(Error::unsupported(
                     name,

@@ -35,48 +35,58 @@ mod objects;
 #[cfg(feature = "remote")]
 mod sign;
 
+#[cfg(feature = "remote")]
 mod url;
 
 use crate::error::Error;
 use crate::options::OpenOptions;
 use crate::volume::Volume;
 
-use url::Address;
-
-/// Opens the volume at an address: `http://`, `https://` or `s3://BUCKET/KEY`.
-///
-/// For S3, the region is that of `AWS_REGION` or the profile, the endpoint that of
-/// `AWS_ENDPOINT_URL`, and the credentials those of `AWS_ACCESS_KEY_ID`, `AWS_SECRET_ACCESS_KEY`
-/// and `AWS_SESSION_TOKEN`, or of the profile `AWS_PROFILE`; without any, requests are anonymous.
-/// `CURVOX_HTTP_TIMEOUT` is how many seconds a silent server is waited for, 30 if not set.
-///
-/// # Errors
-///
-/// As [`open`](crate::open), if the server does not answer or refuses to, and if this build was
-/// made without the feature `remote`.
-pub fn open_url(url: &str, options: &OpenOptions) -> Result<Volume, Error> {
-    let address = Address::parse(url)?;
-    open_address(&address, options)
+/// Whether a text is an address that [`open_url`](crate::open_url) takes, and not a path.
+pub fn is_url(text: &str) -> bool {
+    text.split_once("://").is_some_and(|(scheme, _)| {
+        let known = ["http", "https", "s3"];
+        known.iter().any(|known| known.eq_ignore_ascii_case(scheme))
+    })
 }
 
+/// An address for a message or a record: without a user, a password and a query, which may hold a
+/// token.
+pub fn url_name(url: &str) -> String {
+    let url = url.split(['?', '#']).next().unwrap_or_default();
+    match url.split_once("://") {
+        Some((scheme, rest)) => {
+            let (authority, path) = rest.split_once('/').unwrap_or((rest, ""));
+            let host = authority.rsplit('@').next().unwrap_or_default();
+            format!("{scheme}://{host}/{path}")
+        }
+        None => match url.rsplit_once('@') {
+            Some((_, rest)) => rest.to_string(),
+            None => url.to_string(),
+        },
+    }
+}
+
+/// Opens all of the volume at an address.
 #[cfg(not(feature = "remote"))]
-fn open_address(address: &Address, _: &OpenOptions) -> Result<Volume, Error> {
+pub(crate) fn open_whole_url(url: &str, _: &OpenOptions) -> Result<Volume, Error> {
     Err(Error::unsupported(
-        address.name(),
+        url_name(url),
         "this build reads no addresses: it was made without the feature 'remote'",
     ))
 }
 
+/// Opens all of the volume at an address.
 #[cfg(feature = "remote")]
-fn open_address(address: &Address, options: &OpenOptions) -> Result<Volume, Error> {
+pub(crate) fn open_whole_url(url: &str, options: &OpenOptions) -> Result<Volume, Error> {
     use std::sync::Arc;
 
-    use crate::crop::crop;
     use crate::header::Format;
-    use crate::open::open_stream;
+    use crate::open::open_whole_stream;
     use crate::zarr;
 
-    let objects = Arc::new(objects::Objects::new(address)?);
+    let address = url::Address::parse(url)?;
+    let objects = Arc::new(objects::Objects::new(&address)?);
     let formats = match options.format {
         _ if options.raw.is_some() => &[][..],
         Some(Format::Zarr) => &[Format::Zarr][..],
@@ -88,16 +98,13 @@ fn open_address(address: &Address, options: &OpenOptions) -> Result<Volume, Erro
     let container = || {
         for format in formats {
             if let Some(volume) = zarr::open(Arc::clone(&objects) as _, *format, options)? {
-                return match &options.region {
-                    None => Ok(Some(volume)),
-                    Some(region) => crop(volume, region).map(Some),
-                };
+                return Ok(Some(volume));
             }
         }
         Ok(None)
     };
     let file = || match objects.stream()? {
-        Some(body) => open_stream(Box::new(body), &address.name(), options).map(Some),
+        Some(body) => open_whole_stream(Box::new(body), &address.name(), options).map(Some),
         None => Ok(None),
     };
     // A name with an extension is most likely a file; others are most likely not.

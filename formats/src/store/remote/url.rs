@@ -3,6 +3,7 @@
 //! The query of an address may be a token: it is sent, and never shown. A user and a password are
 //! refused, for command lines are seen by others and kept in histories.
 
+use super::url_name as shown;
 use crate::error::Error;
 
 /// Where a volume is.
@@ -117,35 +118,16 @@ impl Address {
     }
 }
 
-/// An address for a message, whatever it is: without a user, a password and a query.
-fn shown(url: &str) -> String {
-    let url = url.split(['?', '#']).next().unwrap_or_default();
-    match url.split_once("://") {
-        Some((scheme, rest)) => {
-            let (authority, path) = rest.split_once('/').unwrap_or((rest, ""));
-            let host = authority.rsplit('@').next().unwrap_or_default();
-            format!("{scheme}://{host}/{path}")
-        }
-        None => match url.rsplit_once('@') {
-            Some((_, rest)) => rest.to_string(),
-            None => url.to_string(),
-        },
-    }
-}
-
 /// Encodes what is not plain in a path; slashes stay.
-#[cfg(feature = "remote")]
 pub(super) fn encode_path(path: &str) -> String {
     encode(path, b"-._~/")
 }
 
 /// Encodes what is not plain in a value of a query.
-#[cfg(feature = "remote")]
 pub(super) fn encode_value(value: &str) -> String {
     encode(value, b"-._~")
 }
 
-#[cfg(feature = "remote")]
 fn encode(text: &str, plain: &[u8]) -> String {
     let mut out = String::with_capacity(text.len());
     for byte in text.bytes() {
@@ -159,7 +141,6 @@ fn encode(text: &str, plain: &[u8]) -> String {
 }
 
 /// Decodes `%20` and the like.
-#[cfg(feature = "remote")]
 pub(super) fn decode(text: &str) -> String {
     let bytes = text.as_bytes();
     let mut out = Vec::with_capacity(bytes.len());
@@ -207,7 +188,6 @@ mod tests {
         }
     }
 
-    #[cfg(feature = "remote")]
     #[test]
     fn what_is_encoded_is_decoded() {
         let text = "a b/\u{e9}%+~";

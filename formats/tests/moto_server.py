@@ -1,0 +1,35 @@
+"""An S3 server for the tests: holds the files of a folder, and lets only its own user in.
+
+Prints the port, an access key and its secret key, and runs until its input ends.
+"""
+import json
+import logging
+import pathlib
+import sys
+import urllib.request
+
+import boto3
+from moto.server import ThreadedMotoServer
+
+logging.getLogger("werkzeug").setLevel(logging.ERROR)
+server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
+server.start()
+host, port = server.get_host_and_port()
+url = f"http://127.0.0.1:{port}"
+keys = dict(endpoint_url=url, region_name="us-east-1", aws_access_key_id="any", aws_secret_access_key="any")
+s3 = boto3.client("s3", **keys)
+s3.create_bucket(Bucket="volumes")
+root = pathlib.Path(sys.argv[1])
+for path in sorted(root.rglob("*")):
+    if path.is_file():
+        s3.put_object(Bucket="volumes", Key=f"of mine/{path.relative_to(root).as_posix()}", Body=path.read_bytes())
+iam = boto3.client("iam", **keys)
+iam.create_user(UserName="reader")
+policy = {"Version": "2012-10-17", "Statement": [{"Effect": "Allow", "Action": "s3:*", "Resource": "*"}]}
+iam.put_user_policy(UserName="reader", PolicyName="read", PolicyDocument=json.dumps(policy))
+key = iam.create_access_key(UserName="reader")["AccessKey"]
+# From now on every request is authenticated, its signature included.
+urllib.request.urlopen(urllib.request.Request(f"{url}/moto-api/reset-auth", data=b"0", method="POST"))
+print(port, key["AccessKeyId"], key["SecretAccessKey"], flush=True)
+sys.stdin.read()
+server.stop()
