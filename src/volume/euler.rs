@@ -41,26 +41,52 @@ impl SolidCounts {
     /// `0 <= z <= dims[2]` they are those of the image.
     #[must_use]
     pub fn of_plane(window: &PlaneWindow, z: i32) -> Self {
-        let words = (window.dims[0] as usize) / 64 + 1;
-        let zero = vec![0u64; words];
-        let row = |y, z| window.row(y, z).unwrap_or(&zero);
         let mut counts = Self::default();
-        for y in 0..=window.dims[1] as i32 {
-            let rows = [row(y, z), row(y - 1, z), row(y, z - 1), row(y - 1, z - 1)];
-            let mut carry = [0u64; 4];
-            for w in 0..words {
+        let blocks = [0, 1].map(|a| window.dims[a] as i32 + 1);
+        window.rectangles([0; 2], blocks, z..z + 1, 64, true, &mut |lo, hi, known| {
+            match known {
+                // all outside: nothing; all inside: 1 of each kind, which cancels
+                Some(false) => {}
+                Some(true) => {
+                    let [columns, rows] = [0, 1].map(|a| u64::from(lo[a].abs_diff(hi[a])));
+                    counts.voxels += columns * rows;
+                }
+                None => counts.add_rows(window, lo, hi, z),
+            }
+        });
+        counts
+    }
+
+    /// The blocks `lo <= c < hi` of plane `z`; `lo[0]` is a multiple of 64.
+    fn add_rows(&mut self, window: &PlaneWindow, lo: [i32; 2], hi: [i32; 2], z: i32) {
+        // One word before, for its last voxel.
+        let skipped = usize::from(lo[0] > 0);
+        let words = lo[0] as usize / 64 - skipped..(hi[0] as usize).div_ceil(64);
+        let mut buffers = [const { Vec::new() }; 4];
+        for y in lo[1]..hi[1] {
+            let [b0, b1, b2, b3] = &mut buffers;
+            let rows = [
+                window.span([y, z], words.clone(), b0),
+                window.span([y - 1, z], words.clone(), b1),
+                window.span([y, z - 1], words.clone(), b2),
+                window.span([y - 1, z - 1], words.clone(), b3),
+            ];
+            let mut carry = if skipped == 1 {
+                rows.map(|r| r.first().copied().unwrap_or(0) >> 63)
+            } else {
+                [0; 4]
+            };
+            for w in skipped..words.len() {
                 let here = rows.map(|r| r.get(w).copied().unwrap_or(0));
                 let before = [0, 1, 2, 3].map(|i| here[i] << 1 | carry[i]);
                 carry = here.map(|h| h >> 63);
                 if here == [0; 4] && before == [0; 4] || here == [!0; 4] && before == [!0; 4] {
-                    // all outside: nothing; all inside: 1 of each kind, which cancels
-                    counts.voxels += u64::from(here[0].count_ones());
+                    self.voxels += u64::from(here[0].count_ones());
                     continue;
                 }
-                counts.add_word(here, before);
+                self.add_word(here, before);
             }
         }
-        counts
     }
 
     /// `here` and `before` (one voxel less in x) of the rows (y, z), (y-1, z), (y, z-1), (y-1, z-1).
