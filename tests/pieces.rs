@@ -5,6 +5,7 @@ use curvox::lattice::Lattice;
 use curvox::normal::Estimator;
 use curvox::pipeline::{Access, Outcome, Plan, Progress, Settings, Source, run};
 use curvox::sink::{DatasetSink, RadiusInfo, SurfelBatch, SurfelSink, TableInfo};
+use curvox::volume::otsu::survey;
 use curvox::volume::{Binarizer, Criterion};
 use curvox_formats::{ForwardVoxels, OpenOptions, RawLayout, Region, Unit, Volume, open_stream};
 use proptest::prelude::*;
@@ -259,6 +260,70 @@ fn two_small_things_in_opposite_corners_of_a_huge_volume_take_default_memory() {
         expected.position = rows.position.clone();
         assert!(bits(&rows) == bits(&expected));
         assert_eq!(outcome.solid, solid);
+    }
+}
+
+#[test]
+fn many_specks_all_over_a_volume_lower_the_slabs_or_say_what_they_take() {
+    let dims = [4000, 4000, 80];
+    let specks = |n: u64| (0..n).map(move |i| 30 + i * (3900 / n));
+    let things = specks(40)
+        .flat_map(|y| specks(40).map(move |x| thing([x, y, 30], 3, Kind::Ball)))
+        .collect();
+    let pieces = Pieces::new(dims, [8; 3], things);
+    let mut settings = settings(dims, false);
+    let (_, _, plan) = piecewise(&pieces, &settings, at_least(1));
+    assert!(plan.chunks.as_ref().unwrap().tiles.is_some());
+    // All slabs as high as planned would not fit.
+    assert!(plan.slab_planes == 64 && plan.index_bytes().unwrap() < 1600 * 64 * 64 * 36);
+    settings.memory_bytes = 80 << 20;
+    let volume = pieces.volume();
+    match settings.plan(&Access::of(&volume), 0) {
+        Err(error) => assert!(error.to_string().contains("--memory"), "{error}"),
+        Ok(plan) => {
+            let found = read(
+                volume,
+                &settings,
+                &plan,
+                at_least(1),
+                &mut Collected::default(),
+            );
+            if let Err(error) = found {
+                assert!(error.to_string().contains("--memory"), "{error}");
+            }
+        }
+    }
+}
+
+#[test]
+fn values_of_pieces_are_those_of_the_stream() {
+    let dims = [700, 300, 200];
+    let things = vec![
+        thing([100, 100, 90], 60, Kind::Ball),
+        thing([400, 0, 0], 120, Kind::Solid(40)),
+        thing([550, 150, 130], 50, Kind::Noise(7)),
+    ];
+    for (chunk, tells) in [
+        ([64, 64, 64], true),
+        ([30, 17, 1], false),
+        ([700, 300, 1], false),
+    ] {
+        let mut pieces = Pieces::new(dims, chunk, things.clone());
+        pieces.tells = tells;
+        let stop = AtomicBool::new(false);
+        let of_pieces = survey(|| Ok::<_, curvox_formats::Error>(pieces.volume()), &stop).unwrap();
+        assert_eq!(pieces.counts(), Some((1, 1)));
+        let mut bytes = Vec::new();
+        pieces.bytes(&Region::whole(dims), &mut bytes);
+        let values = bytes.iter().map(|&v| f64::from(v));
+        assert_eq!(of_pieces.voxels, bytes.len() as u64);
+        assert_eq!(
+            of_pieces.mean,
+            Some(values.sum::<f64>() / bytes.len() as f64)
+        );
+        assert_eq!((of_pieces.min, of_pieces.max), (Some(0.0), Some(255.0)));
+        let threshold = of_pieces.otsu.unwrap();
+        assert!((40.0..100.0).contains(&threshold), "{threshold}");
     }
 }
 

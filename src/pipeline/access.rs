@@ -14,13 +14,7 @@ use curvox_formats::{RandomVoxels, Region, Volume, Voxels};
 
 use crate::sink::{PART_EDGE, PART_PLANES};
 use crate::volume::TileMap;
-
-/// Rows of a band, if pieces are lower: tiles are about as high as they are wide.
-const BAND_ROWS: u64 = 64;
-
-/// Planes of a layer in tiles, if pieces are thinner, and at most. Thicker layers have more tiles
-/// in which voxels differ; thinner ones ask the source more often.
-const TILED_PLANES: Range<u64> = 16..128;
+use crate::volume::tiles::{band_rows, layer_end, tiled_planes};
 
 /// Pieces along an axis that are asked for a first impression of a volume.
 const SAMPLES: u64 = 8;
@@ -98,22 +92,6 @@ impl Access {
     }
 }
 
-/// Rows of a band.
-pub(super) fn band_rows(chunk: [u64; 3], dims: [u64; 3]) -> u64 {
-    (chunk[1].saturating_mul(BAND_ROWS.div_ceil(chunk[1]))).min(dims[1])
-}
-
-/// Where the layer of at most `planes` planes that begins at `z` ends: where pieces do, if it can.
-pub(super) fn layer_end(z: u64, planes: u64, chunk: [u64; 3], depth: u64) -> u64 {
-    let piece = chunk[2];
-    let end = if planes >= piece {
-        (z / piece + planes / piece) * piece
-    } else {
-        (z + planes).min((z / piece + 1).saturating_mul(piece))
-    };
-    end.min(depth)
-}
-
 impl Sparse {
     /// What is to be read, if at most half of the volume need be kept.
     fn of(voxels: &dyn RandomVoxels, dims: [u64; 3], chunk: [u64; 3]) -> Option<Self> {
@@ -123,11 +101,7 @@ impl Sparse {
         let [x, y, depth] = dims;
         let plane = [u32::try_from(x).ok()?, u32::try_from(y).ok()?];
         let band = band_rows(chunk, dims);
-        let layer_planes = if chunk[2] < TILED_PLANES.start {
-            chunk[2] * TILED_PLANES.start.div_ceil(chunk[2])
-        } else {
-            chunk[2].min(TILED_PLANES.end)
-        };
+        let layer_planes = tiled_planes(chunk);
         let mut sparse = Self {
             layer_planes,
             layers: Vec::new(),

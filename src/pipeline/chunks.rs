@@ -11,8 +11,9 @@
 use serde::Serialize;
 
 use crate::volume::TILE_WIDTH;
+use crate::volume::tiles::band_rows;
 
-use super::access::{Access, Sparse, band_rows};
+use super::access::{Access, Sparse};
 
 /// Stored bytes of a box, if a piece is not larger. Larger ones only take memory; smaller ones
 /// leave less to do between two questions to the source.

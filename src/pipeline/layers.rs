@@ -23,9 +23,9 @@ use curvox_formats::{Header, RandomVoxels, Region};
 use rayon::prelude::*;
 
 use crate::error::Error;
+use crate::volume::tiles::layer_end;
 use crate::volume::{Binarizer, BitPlane, GreyPlane, TILE_WIDTH, TileMap};
 
-use super::access::layer_end;
 use super::chunks::ChunkPlan;
 use super::reader::Plane;
 use super::shared::Shared;

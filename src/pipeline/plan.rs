@@ -66,7 +66,7 @@ const WIDE_REACH: i32 = 40;
 /// Slabs with an index held at once beside the planes within reach of the sums: three in the
 /// window of the sums, which reach cuts anywhere, one in a channel, one measured and one it waits
 /// for, one in a channel, one whose normals are made.
-const SLABS_IN_FLIGHT: u64 = 8;
+pub(super) const SLABS_IN_FLIGHT: u64 = 8;
 
 /// Planes of rows on their way at once: one made, two in the channel, one in the sinks.
 const SENT_PLANES: u64 = 4;
@@ -180,9 +180,10 @@ impl Plan {
         self.ball_reach[2] + 4
     }
 
-    /// Planes of slabs whose index may be held at once, if slabs have this height at most.
-    pub(super) fn indexed_planes(&self, slab: i32) -> i32 {
-        2 * self.ball_reach[2] + SLABS_IN_FLIGHT as i32 * slab
+    /// Memory for indices, if they may take less than they can at worst.
+    #[must_use]
+    pub fn index_bytes(&self) -> Option<u64> {
+        self.chunks.as_ref()?.index_bytes
     }
 
     /// Makes a plan.

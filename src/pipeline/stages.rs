@@ -24,7 +24,7 @@ use crate::volume::{BitBox, BitPlane, GreyWindow, PlaneWindow, SolidCounts};
 
 use super::budget::Grant;
 use super::given;
-use super::plan::COLUMN_BYTES;
+use super::plan::{COLUMN_BYTES, SLABS_IN_FLIGHT};
 use super::reader::Plane;
 use super::rows::{self, BrickRows};
 use super::shared::Shared;
@@ -229,7 +229,7 @@ pub(super) fn normals(
     let mut z = 0;
     while z < depth {
         arrived.wait_for(z + shared.plan.slab_planes + ahead)?;
-        let (end, surfels) = choose_slab(shared, &arrived, &mut slabs, z)?;
+        let (end, surfels) = choose_slab(shared, &grid, &arrived, &mut slabs, &indices, z)?;
         let Some(grant) = shared
             .budget
             .take(surfels * shared.plan.surfel_bytes, || shared.stopped())
@@ -297,11 +297,42 @@ pub(super) fn normals(
 /// Memory of the indices of slabs, where only a part of what it can be at worst was planned.
 #[derive(Debug, Default)]
 struct Indices {
-    /// Planes of a slab, bricks with surfels and bytes of their indices.
+    /// Of slabs that may be held: planes, bricks with surfels, bytes of their indices.
     slabs: VecDeque<(Range<i32>, usize, u64)>,
 }
 
 impl Indices {
+    fn bytes(&self) -> u64 {
+        self.slabs.iter().map(|s| s.2).sum()
+    }
+
+    /// How many of the slabs are surely let go before the next one is computed.
+    fn released(&self, shared: &Shared<'_>) -> usize {
+        let oldest = (self.slabs.len() + 1).saturating_sub(SLABS_IN_FLIGHT as usize);
+        let Some(slab) = self.slabs.get(oldest) else {
+            return 0;
+        };
+        let from = slab.0.start - 2 * shared.plan.ball_reach[2];
+        self.slabs.partition_point(|s| s.0.end <= from)
+    }
+
+    /// Whether a slab of planes `z` fits, if every brick that can have surfels has some.
+    fn have_room(
+        &self,
+        shared: &Shared<'_>,
+        grid: &BrickGrid,
+        window: &PlaneWindow,
+        z: Range<i32>,
+    ) -> bool {
+        let Some(room) = shared.plan.index_bytes() else {
+            return true;
+        };
+        let size = [grid.edge, grid.edge, z.end - z.start];
+        let bricks = grid.occupied(window, z, shared.lattice.closed).len() as u64;
+        let held: u64 = self.slabs.range(self.released(shared)..).map(|s| s.2).sum();
+        held + bricks * SurfelIndex::most_bytes(size) <= room
+    }
+
     /// Adds a slab; refuses it if those that may be held with it are too large together.
     fn add(
         &mut self,
@@ -310,17 +341,14 @@ impl Indices {
         bricks: &[NormalBrick],
     ) -> Result<(), Error> {
         let plan = shared.plan;
-        let Some(room) = plan.chunks.as_ref().and_then(|chunks| chunks.index_bytes) else {
+        let Some(room) = plan.index_bytes() else {
             return Ok(());
         };
-        let held_from = z.end - plan.indexed_planes(plan.slab_planes);
-        while self.slabs.front().is_some_and(|s| s.0.end <= held_from) {
-            self.slabs.pop_front();
-        }
+        self.slabs.drain(..self.released(shared));
         let plane = z.start;
         let bytes = bricks.iter().map(|brick| brick.index.bytes() as u64).sum();
         self.slabs.push_back((z, bricks.len(), bytes));
-        let held: u64 = self.slabs.iter().map(|s| s.2).sum();
+        let held = self.bytes();
         if held <= room {
             return Ok(());
         }
@@ -344,8 +372,10 @@ impl Indices {
 /// chosen if the planes that must follow before *it* can be let go would fit too.
 fn choose_slab(
     shared: &Shared<'_>,
+    grid: &BrickGrid,
     arrived: &Arrived<'_>,
     slabs: &mut VecDeque<Range<i32>>,
+    indices: &Indices,
     z: i32,
 ) -> Result<(i32, u64), Error> {
     let depth = shared.lattice.cell_dims()[2];
@@ -382,7 +412,11 @@ fn choose_slab(
         let bytes = (held + own) * plan.surfel_bytes;
         let follow = arrived.surfels(end..(end + plan.planes_ahead()).min(depth));
         let fits = bytes <= room && rows <= room_of_rows;
-        if fits && (height == 1 || bytes + follow * plan.surfel_bytes <= room) {
+        let may_be_higher = || {
+            bytes + follow * plan.surfel_bytes <= room
+                && indices.have_room(shared, grid, &arrived.window, z..end)
+        };
+        if fits && (height == 1 || may_be_higher()) {
             return Ok((end, own));
         }
         if height == 1 {

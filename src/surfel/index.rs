@@ -186,6 +186,13 @@ impl SurfelIndex {
         self.words.len() * 8 + self.rank.len() * 4
     }
 
+    /// Memory of an index of a box of cells, at most.
+    #[must_use]
+    pub fn most_bytes(size: [i32; 3]) -> u64 {
+        let rows = 3 * size[1] as u64 * size[2] as u64;
+        rows * (size[0] as u64).div_ceil(64) * 12 + 4
+    }
+
     #[inline(always)]
     fn row_start(&self, kind: Kind, y: i32, z: i32) -> usize {
         let size_y = (self.cells.hi[1] - self.cells.lo[1]) as usize;

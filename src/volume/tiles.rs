@@ -23,6 +23,41 @@ use curvox_formats::Region;
 /// Voxels of a tile along x: a word of bits.
 pub const TILE_WIDTH: u32 = 64;
 
+/// Rows of a band, if pieces are lower: tiles are about as high as they are wide.
+const BAND_ROWS: u64 = 64;
+
+/// Planes of a layer in tiles, if pieces are thinner, and at most. Thicker layers have more tiles
+/// in which voxels differ; thinner ones ask the source more often.
+const TILED_PLANES: Range<u64> = 16..128;
+
+/// Rows of a band of a volume that is decoded in pieces: bands end where pieces do.
+#[must_use]
+pub fn band_rows(piece: [u64; 3], dims: [u64; 3]) -> u64 {
+    (piece[1].saturating_mul(BAND_ROWS.div_ceil(piece[1]))).min(dims[1])
+}
+
+/// Planes of a layer in tiles of a volume that is decoded in pieces.
+#[must_use]
+pub fn tiled_planes(piece: [u64; 3]) -> u64 {
+    if piece[2] < TILED_PLANES.start {
+        piece[2] * TILED_PLANES.start.div_ceil(piece[2])
+    } else {
+        piece[2].min(TILED_PLANES.end)
+    }
+}
+
+/// Where the layer of at most `planes` planes that begins at `z` ends: where pieces do, if it can.
+#[must_use]
+pub fn layer_end(z: u64, planes: u64, piece: [u64; 3], depth: u64) -> u64 {
+    let piece = piece[2];
+    let end = if planes >= piece {
+        (z / piece + planes / piece) * piece
+    } else {
+        (z + planes).min((z / piece + 1).saturating_mul(piece))
+    };
+    end.min(depth)
+}
+
 /// What a run of tiles holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Content {
