@@ -116,6 +116,7 @@ proptest! {
     fn pieces_of_any_shape_give_the_same_rows_and_are_decoded_once(
         dims in [1u64..90, 1u64..50, 1u64..40],
         chunk in [1u64..=20, 1u64..=20, 1u64..=20],
+        before in [0u64..20, 0u64..20, 0u64..20],
         seed: u64,
         tells: bool,
         wide: bool,
@@ -126,6 +127,7 @@ proptest! {
             Thing { lo: dims.map(|n| n / 3), size: dims.map(|n| n / 2), kind: Kind::Solid(200) },
         ]);
         (pieces.tells, pieces.wide) = (tells, wide);
+        pieces.before = [0, 1, 2].map(|a| before[a] % chunk[a]);
         let settings = settings(dims, gradient);
         let found = piecewise(&pieces, &settings, at_least(180));
         agree(&found, &streamed(&pieces, &settings, at_least(180)));
@@ -137,6 +139,7 @@ proptest! {
     fn sparse_volumes_give_the_rows_of_dense_ones(
         dims in [150u64..400, 130u64..260, 30u64..110],
         chunk in [1u64..=100, 1u64..=100, 1u64..=100],
+        before in [0u64..100, 0u64..100, 0u64..100],
         at in proptest::collection::vec(([0.0f64..1.0, 0.0f64..1.0, 0.0f64..1.0], 4u64..30, 0usize..3), 0..5),
         seed: u64,
         inverted: bool,
@@ -158,6 +161,7 @@ proptest! {
         }
         let mut pieces = Pieces::new(dims, chunk, things);
         pieces.wide = wide;
+        pieces.before = [0, 1, 2].map(|a| before[a] % chunk[a]);
         let mut settings = settings(dims, gradient);
         settings.lattice = Lattice::new(dims, [1.0; 3], closed).unwrap();
         settings.brick = brick;
@@ -310,6 +314,7 @@ fn values_of_pieces_are_those_of_the_stream() {
     ] {
         let mut pieces = Pieces::new(dims, chunk, things.clone());
         pieces.tells = tells;
+        pieces.before = chunk.map(|n| n / 3);
         let stop = AtomicBool::new(false);
         let of_pieces = survey(|| Ok::<_, curvox_formats::Error>(pieces.volume()), &stop).unwrap();
         assert_eq!(pieces.counts(), Some((1, 1)));
@@ -336,6 +341,7 @@ fn planes_in_order_decode_each_piece_once() {
         vec![thing([3, 4, 5], 33, Kind::Noise(3))],
     );
     pieces.tells = false;
+    pieces.before = [1, 2, 5];
     let mut whole = Vec::new();
     pieces.bytes(&Region::whole(dims), &mut whole);
     for count in [1, 3, 16, 20, 100] {

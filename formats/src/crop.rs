@@ -145,11 +145,14 @@ impl RandomVoxels for RandomCrop {
         self.voxels.check()
     }
 
-    /// Only where the pieces still begin at voxel (0, 0, 0).
     fn chunk(&self) -> Option<[u64; 3]> {
-        let chunk = self.voxels.chunk()?;
-        let aligned = (0..3).all(|a| self.region.origin[a].is_multiple_of(chunk[a]));
-        aligned.then_some(chunk)
+        self.voxels.chunk()
+    }
+
+    fn chunk_start(&self) -> [u64; 3] {
+        let before = self.voxels.chunk_start();
+        let shape = self.voxels.chunk().unwrap_or([1; 3]);
+        [0, 1, 2].map(|a| (self.region.origin[a] + before[a]) % shape[a].max(1))
     }
 
     fn uniform(&self, region: &Region) -> Option<[u8; 8]> {
@@ -229,7 +232,8 @@ mod tests {
     use crate::conformance;
     use crate::header::{DType, Format, VoxelType};
     use crate::input::Input;
-    use crate::stored::{AxisOrder, StoredVoxels};
+    use crate::order::AxisOrder;
+    use crate::stored::StoredVoxels;
     use crate::stream::StreamVoxels;
     use crate::volume::SourceInfo;
 
@@ -239,10 +243,11 @@ mod tests {
         let bytes: Vec<u8> = (0..count).flat_map(u16::to_le_bytes).collect();
         let voxels = if forward {
             let input = Input::new(std::io::Cursor::new(bytes));
-            Voxels::Forward(Box::new(StreamVoxels::new(input, "n", &header, 0)))
+            let order = AxisOrder::X_FASTEST;
+            Voxels::Forward(Box::new(StreamVoxels::new(input, "n", &header, order, 0)))
         } else {
             let bytes = FileBytes::memory("n", bytes);
-            let order = AxisOrder::XFastest;
+            let order = AxisOrder::X_FASTEST;
             Voxels::Random(Box::new(StoredVoxels::new(bytes, "n", 0, &header, order)))
         };
         Volume {

@@ -10,30 +10,16 @@ use crate::parsed::Context;
 use crate::registry::{READERS, formats};
 
 /// Formats that are recognised in order to be refused by name: (offset, magic, name).
-const OTHER_FORMATS: [(usize, &[u8], &str); 25] = [
-    // Before TIFF: the preamble of a DICOM file may hold a TIFF header.
-    (128, b"DICM", "DICOM"),
-    (0, b"II*\0", "TIFF"),
-    (0, b"MM\0*", "TIFF"),
-    (0, b"II+\0", "BigTIFF"),
-    (0, b"MM\0+", "BigTIFF"),
-    (0, b"NRRD0", "NRRD"),
-    (0, b"\x89HDF\r\n\x1a\n", "HDF5 (or MINC 2)"),
-    (0, b" BDV", "OpenVDB"),
-    (0, b"PK\x03\x04", "zip (or .npz)"),
-    (0, b"ObjectType", "MetaImage"),
-    (0, b"NDims", "MetaImage"),
-    (0, b"# vtk DataFile", "VTK"),
+const OTHER_FORMATS: &[(usize, &[u8], &str)] = &[
+    (0, b"PK\x03\x04", "zip"),
+    (0, b"ObjectType", "a MetaIO object"),
     (0, b"<?xml", "XML"),
     (0, b"<VTKFile", "VTK XML"),
     (0, b"CDF\x01", "NetCDF (or MINC 1)"),
     (0, b"CDF\x02", "NetCDF"),
-    (0, b"\x89PNG", "PNG"),
-    (0, b"\xff\xd8\xff", "JPEG"),
+    (0, b"MATRIX7", "ECAT 7"),
     (0, b"PAR1", "Parquet"),
-    (0, b"BZh", "bzip2"),
     (0, b"\xfd7zXZ\0", "xz"),
-    (208, b"MAP ", "MRC"),
     (0, b"P3D", "PGM3D"),
     (0, b"P2", "PGM3D"),
     (0, b"P5", "PGM3D"),
@@ -50,10 +36,10 @@ fn volume(head: &[u8]) -> Option<Format> {
 /// The name of the format that is not read, by magic numbers of at least some bytes.
 fn other(head: &[u8], least_bytes: usize) -> Option<&'static str> {
     OTHER_FORMATS
-        .into_iter()
+        .iter()
         .filter(|(_, magic, _)| magic.len() >= least_bytes)
         .find(|(offset, magic, _)| head.get(*offset..).is_some_and(|h| h.starts_with(magic)))
-        .map(|(_, _, name)| name)
+        .map(|(_, _, name)| *name)
 }
 
 /// What content begins like, if not like a mesh. Magic numbers of two or three letters do not count: the

@@ -6,18 +6,18 @@
 //! caller says where.
 
 use std::fs::File;
-use std::io::{Read, Write};
+use std::io::{BufRead, Read, Write};
 use std::path::Path;
 
 use crate::bytes::FileBytes;
 use crate::error::Error;
-use crate::input::{Input, read_error};
+use crate::input::{Compression, Input, read_error};
 use crate::options::OpenOptions;
 use crate::parsed::{Encoding, Parsed, Start};
-use crate::stored::{AxisOrder, StoredVoxels};
+use crate::stored::StoredVoxels;
 use crate::stream::{StreamVoxels, ends_early, look_behind};
-use crate::vol;
 use crate::volume::{SourceInfo, Volume, Voxels};
+use crate::{text, vol};
 
 /// The volume of an input that runs forward.
 pub(crate) fn forward(
@@ -27,27 +27,20 @@ pub(crate) fn forward(
     options: &OpenOptions,
     mut source: SourceInfo,
 ) -> Result<Volume, Error> {
+    let behind = parsed.bytes_behind();
+    input = decode(input, &parsed, name)?;
     let Parsed {
         mut header,
-        offset,
-        encoding,
         start,
         order,
         maybe_eight_bytes,
-        frames_behind,
         ..
     } = parsed;
-    let skip = offset.saturating_sub(input.position());
-    skip_to_voxels(&mut input, skip, offset, name)?;
-    input = match encoding {
-        Encoding::Raw => input,
-        Encoding::Zlib => input.zlib().map_err(|e| read_error(name, offset, e))?,
-    };
     if let Start::Bytes(skip) = start {
         skip_to_voxels(&mut input, skip, skip, name)?;
     }
-    if order == AxisOrder::XFastest && !maybe_eight_bytes && start != Start::FromEnd {
-        let voxels = StreamVoxels::new(input, name, &header, frames_behind);
+    if order.has_whole_planes() && !maybe_eight_bytes && start != Start::FromEnd {
+        let voxels = StreamVoxels::new(input, name, &header, order, behind);
         return Ok(Volume {
             header,
             voxels: Voxels::Forward(Box::new(voxels)),
@@ -87,7 +80,7 @@ pub(crate) fn forward(
         name,
         found - bytes - start,
         bytes,
-        0,
+        behind,
     )?);
     let copied = copy.source();
     source.held_bytes = copied.held_bytes;
@@ -100,7 +93,71 @@ pub(crate) fn forward(
     })
 }
 
-fn skip_to_voxels(input: &mut Input, skip: u64, start: u64, name: &str) -> Result<(), Error> {
+/// The decoded data that `input` holds from the offset of `parsed` on.
+pub(crate) fn decode(mut input: Input, parsed: &Parsed, name: &str) -> Result<Input, Error> {
+    let offset = parsed.offset;
+    let skip = offset.saturating_sub(input.position());
+    skip_to_voxels(&mut input, skip, offset, name)?;
+    let compression = match parsed.encoding {
+        Encoding::Raw => return Ok(input),
+        Encoding::Bits => return Ok(input.bits()),
+        Encoding::Text | Encoding::Hex => {
+            let skip = match parsed.start {
+                Start::Bytes(skip) => skip,
+                Start::FromEnd => 0,
+            };
+            let volume = parsed.header.voxels_bytes().unwrap_or(u64::MAX);
+            let volumes = parsed.frames_behind.saturating_add(1);
+            let bytes = volume.saturating_mul(volumes).saturating_add(skip);
+            let voxel = parsed.header.voxel;
+            return Ok(if parsed.encoding == Encoding::Hex {
+                text::hexadecimal(input, bytes)
+            } else {
+                text::numbers(input, voxel, bytes / voxel.bytes() as u64)
+            });
+        }
+        Encoding::Zlib => return input.zlib().map_err(|e| read_error(name, offset, e)),
+        Encoding::Gzip => Compression::Gzip,
+        Encoding::Bzip2 => Compression::Bzip2,
+        Encoding::Zstd => Compression::Zstd,
+    };
+    input
+        .decompressed(compression)
+        .map_err(|e| read_error(name, offset, e))
+}
+
+/// Passes so many lines.
+pub(crate) fn skip_lines(input: &mut Input, lines: u64, name: &str) -> Result<(), Error> {
+    for passed in 0..lines {
+        loop {
+            let some = match input.fill_buf() {
+                Ok(some) => some,
+                Err(e) => return Err(read_error(name, input.position(), e)),
+            };
+            if some.is_empty() {
+                return Err(Error::invalid(
+                    name,
+                    format!("the data has {passed} lines, of which {lines} are to be skipped"),
+                )
+                .at(input.position()));
+            }
+            let end = some.iter().position(|b| *b == b'\n');
+            let count = end.map_or(some.len(), |end| end + 1);
+            input.consume(count);
+            if end.is_some() {
+                break;
+            }
+        }
+    }
+    Ok(())
+}
+
+pub(crate) fn skip_to_voxels(
+    input: &mut Input,
+    skip: u64,
+    start: u64,
+    name: &str,
+) -> Result<(), Error> {
     let skipped = input
         .skip(skip)
         .map_err(|e| read_error(name, input.position(), e))?;

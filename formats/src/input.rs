@@ -1,7 +1,7 @@
 //! Bytes read forward, through at most a few layers of decompression.
 //!
 //! In: any reader. Out: [`Input`], a buffered reader with a look ahead, over plain bytes or over
-//! gzip, zstd or zlib data. Guaranteed: memory is bounded whatever the bytes say (one buffer a
+//! gzip, zstd, bzip2 or zlib data. Guaranteed: memory is bounded whatever the bytes say (one buffer a
 //! layer, zstd windows up to 128 MiB); concatenated gzip members and zstd frames are one stream;
 //! checksums are verified where the data carries them, by reading to the end; bytes behind the
 //! compressed data are noted, not an error. Not guaranteed: that the end is ever reached, a
@@ -10,6 +10,7 @@
 use std::fmt;
 use std::io::{self, BufRead, Read};
 
+use bzip2::bufread::BzDecoder;
 use flate2::bufread::{GzDecoder, ZlibDecoder};
 
 use crate::error::Error;
@@ -19,11 +20,12 @@ use crate::error::Error;
 pub(crate) enum Compression {
     Gzip,
     Zstd,
+    Bzip2,
 }
 
 impl Compression {
     /// Bytes [`Compression::detect`] wants to see.
-    pub(crate) const MAGIC_BYTES: usize = 4;
+    pub(crate) const MAGIC_BYTES: usize = 10;
 
     /// The compression that data beginning with `head` has, if any.
     pub(crate) fn detect(head: &[u8]) -> Option<Self> {
@@ -31,6 +33,13 @@ impl Compression {
             // Method 8 is the only one there is; the upper flag bits are reserved and zero.
             [0x1f, 0x8b, 8, flags, ..] if flags & 0xe0 == 0 => Some(Self::Gzip),
             [0x28, 0xb5, 0x2f, 0xfd, ..] | [0x50..=0x5f, 0x2a, 0x4d, 0x18, ..] => Some(Self::Zstd),
+            // A size of blocks, and the number that begins a block, or ends a stream without any.
+            [b'B', b'Z', b'h', b'1'..=b'9', rest @ ..]
+                if rest.starts_with(&[0x31, 0x41, 0x59, 0x26, 0x53, 0x59])
+                    || rest.starts_with(&[0x17, 0x72, 0x45, 0x38, 0x50, 0x90]) =>
+            {
+                Some(Self::Bzip2)
+            }
             _ => None,
         }
     }
@@ -39,6 +48,7 @@ impl Compression {
         match self {
             Self::Gzip => "gzip",
             Self::Zstd => "zstd",
+            Self::Bzip2 => "bzip2",
         }
     }
 }
@@ -58,8 +68,20 @@ impl fmt::Display for SystemError {
 
 impl std::error::Error for SystemError {}
 
+/// Marks voxels written as text that are none, so that they are not taken for damaged compression.
+#[derive(Debug)]
+pub(crate) struct TextError(pub(crate) String);
+
+impl fmt::Display for TextError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+impl std::error::Error for TextError {}
+
 /// One layer: bytes, and afterwards what was noticed on the way.
-trait Layer: Read + Send {
+pub(crate) trait Layer: Read + Send {
     fn notes(&mut self) -> Vec<String> {
         Vec::new()
     }
@@ -100,7 +122,8 @@ impl Input {
         Self::over(Box::new(System(reader)))
     }
 
-    fn over(layer: Box<dyn Layer>) -> Self {
+    /// Bytes that `layer` gives.
+    pub(crate) fn over(layer: Box<dyn Layer>) -> Self {
         Self {
             layer,
             buffer: vec![0; BUFFER_BYTES],
@@ -115,12 +138,18 @@ impl Input {
         Ok(Self::over(match compression {
             Compression::Gzip => Box::new(Members::<Gzip>::begin(self)?),
             Compression::Zstd => Box::new(Members::<Zstd>::begin(self)?),
+            Compression::Bzip2 => Box::new(Members::<Bzip2>::begin(self)?),
         }))
     }
 
     /// The rest of this input, taken as zlib data (RFC 1950).
     pub(crate) fn zlib(self) -> io::Result<Self> {
         Ok(Self::over(Box::new(Members::<Zlib>::begin(self)?)))
+    }
+
+    /// The rest of this input, one byte for each bit, the highest bit of a byte first.
+    pub(crate) fn bits(self) -> Self {
+        Self::over(Box::new(Bits { input: self }))
     }
 
     /// Bytes consumed so far.
@@ -248,6 +277,32 @@ impl BufRead for Input {
     }
 }
 
+/// Bits as bytes 0 and 1.
+struct Bits {
+    input: Input,
+}
+
+impl Read for Bits {
+    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
+        let have = self.input.fill_buf()?;
+        // The layer above asks for whole buffers, so there is room for at least one byte.
+        let count = have.len().min(out.len() / 8);
+        for (bits, byte) in out.chunks_exact_mut(8).zip(have) {
+            for (at, bit) in bits.iter_mut().enumerate() {
+                *bit = byte >> (7 - at) & 1;
+            }
+        }
+        self.input.consume(count);
+        Ok(8 * count)
+    }
+}
+
+impl Layer for Bits {
+    fn notes(&mut self) -> Vec<String> {
+        self.input.notes()
+    }
+}
+
 /// A decoder of one member (frame) of a compressed stream.
 trait Member: Read + Send + Sized {
     const NAME: &'static str;
@@ -259,6 +314,7 @@ trait Member: Read + Send + Sized {
 }
 
 type Gzip = GzDecoder<Input>;
+type Bzip2 = BzDecoder<Input>;
 type Zlib = ZlibDecoder<Input>;
 type Zstd = zstd::stream::read::Decoder<'static, Input>;
 
@@ -324,6 +380,26 @@ impl Member for Zstd {
 
     fn is_member(head: &[u8]) -> bool {
         Compression::detect(head) == Some(Compression::Zstd)
+    }
+}
+
+impl Member for Bzip2 {
+    const NAME: &'static str = "bzip2";
+
+    fn begin(input: Input) -> io::Result<Self> {
+        Ok(BzDecoder::new(input))
+    }
+
+    fn end(self) -> Input {
+        self.into_inner()
+    }
+
+    fn input(&mut self) -> &mut Input {
+        self.get_mut()
+    }
+
+    fn is_member(head: &[u8]) -> bool {
+        Compression::detect(head) == Some(Compression::Bzip2)
     }
 }
 
@@ -393,6 +469,9 @@ pub(crate) fn read_error(name: &str, offset: u64, error: io::Error) -> Error {
         .is_some_and(|inner| inner.is::<SystemError>())
     {
         return Error::io(name, "cannot be read", error).at(offset);
+    }
+    if let Some(text) = error.get_ref().filter(|inner| inner.is::<TextError>()) {
+        return Error::invalid(name, text.to_string());
     }
     if error.kind() == io::ErrorKind::UnexpectedEof {
         return Error::invalid(name, "the compressed data ends early: the file was cut").at(offset);

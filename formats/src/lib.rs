@@ -21,7 +21,8 @@
 //!
 //! The rooms, in the order of the data: `input` (bytes forward, decompressed), `map` and `bytes`
 //! (bytes anywhere), one file or folder a format, `registry` and `detect` (which of them), `open`
-//! (who gets what), `parsed` (what a header says), `forward`, `stream`, `stored` and `chunked`
+//! (who gets what), `parsed` (what a header says), `lines`, `placement` and `beside` (text headers, places in the
+//! world, files that a header names), `text` and `shares` (voxels as text, in several files), `forward`, `stream`, `stored` and `chunked`
 //! (planes and boxes), `crop` (a part of them), [`mesh`] (polygons), [`mod@write`] (small
 //! outputs), [`conformance`] (what every reader must do).
 //!
@@ -33,7 +34,13 @@
 // Without the SIGBUS guard some helpers of the map have no use.
 #![cfg_attr(not(unix), allow(dead_code))]
 
+mod codec;
+
 pub mod conformance;
+
+mod analyze;
+
+mod beside;
 
 mod bytes;
 
@@ -43,41 +50,78 @@ mod crop;
 
 mod detect;
 
+mod dicom;
+
 mod error;
 
 mod forward;
+
+#[cfg(feature = "hdf5")]
+mod hdf5;
 
 mod header;
 
 mod input;
 
+mod jpeg;
+mod lines;
+
 mod map;
 
 pub mod mesh;
+
+mod metaimage;
+
+mod mgh;
+
+mod mrc;
 
 mod nifti;
 
 mod npy;
 
+mod npz;
+
+mod nrrd;
+
 mod open;
 
 mod options;
 
+mod order;
+
 mod parsed;
+
+mod placement;
 
 mod raw;
 
+mod record;
+
 mod registry;
+
+mod shares;
+mod slices;
+mod store;
 
 mod stored;
 
 mod stream;
 
+mod text;
+mod tiff;
+mod vdb;
+
 mod vol;
 
 mod volume;
 
+mod vtk;
+
 pub mod write;
+
+mod zarr;
+mod zip;
 
 pub use error::{Error, ErrorKind};
 pub use header::{
@@ -86,4 +130,5 @@ pub use header::{
 pub use open::{open, open_stream};
 pub use options::{IoMode, OpenOptions, RawLayout};
 pub use registry::{Choices, FormatInfo, formats};
+pub use store::open_url;
 pub use volume::{ForwardVoxels, RandomVoxels, SourceInfo, Volume, Voxels};

@@ -13,24 +13,33 @@
 //! - A stored value v means scl_slope * v + scl_inter, unless the slope is 0 or not finite.
 //! - Axes beyond the third count volumes; with more than one, the caller chooses a frame.
 //!
-//! Refused: complex, colour and 128-bit voxels, Analyze 7.5, CIFTI, one and two dimensions.
+//! Analyze 7.5 pairs, which have the same header with fewer fields, are read here, too; what is
+//! different about them is in `analyze`.
+//!
+//! Refused: complex, colour and 128-bit voxels, CIFTI, one and two dimensions.
 
 use std::path::{Path, PathBuf};
 
+use crate::analyze;
 use crate::error::Error;
 use crate::header::{ByteOrder, DType, Format, Header, IDENTITY, Scaling, Unit, VoxelType};
 use crate::input::Input;
 use crate::parsed::{Context, Elsewhere, Parsed, is_plausible_spacing};
+use crate::record::Record;
 
 const SIZE_1: usize = 348;
 const SIZE_2: usize = 540;
 
-/// The version whose header begins with `head`.
+/// The format whose header begins with `head`.
 pub(crate) fn detect(head: &[u8]) -> Option<Format> {
     let size: [u8; 4] = head.get(..4)?.try_into().ok()?;
     let (little, big) = (u32::from_le_bytes(size), u32::from_be_bytes(size));
     if little == SIZE_1 as u32 || big == SIZE_1 as u32 {
-        Some(Format::Nifti1)
+        Some(if analyze::is_analyze(head) {
+            Format::Analyze
+        } else {
+            Format::Nifti1
+        })
     } else if little == SIZE_2 as u32 || big == SIZE_2 as u32 {
         Some(Format::Nifti2)
     } else {
@@ -45,7 +54,7 @@ pub(crate) fn header_of_image(path: &Path) -> Option<PathBuf> {
         // Other programs have .hdr files, too; they keep their .img to themselves.
         let head = std::fs::File::open(candidate).ok().and_then(|file| {
             let mut input = Input::new(file);
-            let head = input.peek(4).ok()?;
+            let head = input.peek(crate::input::Compression::MAGIC_BYTES).ok()?;
             if let Some(compression) = crate::input::Compression::detect(head) {
                 input = input.decompressed(compression).ok()?;
             }
@@ -58,7 +67,7 @@ pub(crate) fn header_of_image(path: &Path) -> Option<PathBuf> {
 /// Paths that differ from `path` in the extension `from`, which becomes `to`, compressed or not.
 /// The spelling that matches `path` comes first.
 fn siblings(path: &Path, from: &str, to: &str) -> Option<Vec<PathBuf>> {
-    const COMPRESSED: [&str; 3] = ["", ".gz", ".zst"];
+    const COMPRESSED: [&str; 4] = ["", ".gz", ".zst", ".bz2"];
     let file = path.file_name()?.to_str()?;
     COMPRESSED.into_iter().find_map(|suffix| {
         let stem = file.strip_suffix(suffix)?;
@@ -84,111 +93,78 @@ fn siblings(path: &Path, from: &str, to: &str) -> Option<Vec<PathBuf>> {
 }
 
 /// The fields that matter, of either version.
-struct Fields {
-    magic: [u8; 4],
-    dim: [i64; 8],
-    datatype: i16,
+pub(crate) struct Fields {
+    pub(crate) magic: [u8; 4],
+    pub(crate) dim: [i64; 8],
+    pub(crate) datatype: i16,
     bitpix: i16,
     pixdim: [f64; 8],
     vox_offset: f64,
-    slope: f64,
-    intercept: f64,
-    intent: i64,
-    qform: i64,
-    sform: i64,
+    pub(crate) slope: f64,
+    pub(crate) intercept: f64,
+    pub(crate) intent: i64,
+    pub(crate) qform: i64,
+    pub(crate) sform: i64,
     quaternion: [f64; 3],
     qoffset: [f64; 3],
     srow: [[f64; 4]; 3],
     units: i64,
 }
 
-/// Reads numbers at offsets of a header that is known to be long enough.
-struct Record<'a> {
-    bytes: &'a [u8],
-    order: ByteOrder,
-}
-
-impl Record<'_> {
-    fn array<const N: usize>(&self, at: usize) -> [u8; N] {
-        let mut array = [0; N];
-        array.copy_from_slice(&self.bytes[at..at + N]);
-        if self.order == ByteOrder::Big {
-            array.reverse();
-        }
-        array
-    }
-
-    fn i16(&self, at: usize) -> i16 {
-        i16::from_le_bytes(self.array(at))
-    }
-
-    fn i32(&self, at: usize) -> i32 {
-        i32::from_le_bytes(self.array(at))
-    }
-
-    fn i64(&self, at: usize) -> i64 {
-        i64::from_le_bytes(self.array(at))
-    }
-
-    fn f32(&self, at: usize) -> f64 {
-        f64::from(f32::from_le_bytes(self.array(at)))
-    }
-
-    fn f64(&self, at: usize) -> f64 {
-        f64::from_le_bytes(self.array(at))
-    }
-
-    /// The shortest decimal number that a stored single precision number stands for.
-    fn f32_decimal(&self, at: usize) -> f64 {
-        let stored = f32::from_le_bytes(self.array(at));
-        // Rust prints the shortest text that reads back as the same number.
-        stored.to_string().parse().unwrap_or(f64::from(stored))
-    }
-
-    fn nifti1(&self) -> Fields {
-        Fields {
+impl Fields {
+    fn of_version_1(record: &Record<'_>) -> Self {
+        Self {
             magic: [
-                self.bytes[344],
-                self.bytes[345],
-                self.bytes[346],
-                self.bytes[347],
+                record.bytes[344],
+                record.bytes[345],
+                record.bytes[346],
+                record.bytes[347],
             ],
-            dim: std::array::from_fn(|i| i64::from(self.i16(40 + 2 * i))),
-            datatype: self.i16(70),
-            bitpix: self.i16(72),
-            pixdim: std::array::from_fn(|i| self.f32_decimal(76 + 4 * i)),
-            vox_offset: self.f32(108),
-            slope: self.f32(112),
-            intercept: self.f32(116),
-            intent: i64::from(self.i16(68)),
-            qform: i64::from(self.i16(252)),
-            sform: i64::from(self.i16(254)),
-            quaternion: std::array::from_fn(|i| self.f32(256 + 4 * i)),
-            qoffset: std::array::from_fn(|i| self.f32(268 + 4 * i)),
-            srow: std::array::from_fn(|r| std::array::from_fn(|c| self.f32(280 + 16 * r + 4 * c))),
-            units: i64::from(self.bytes[123]),
+            dim: std::array::from_fn(|i| i64::from(record.i16(40 + 2 * i))),
+            datatype: record.i16(70),
+            bitpix: record.i16(72),
+            pixdim: std::array::from_fn(|i| record.f32_decimal(76 + 4 * i)),
+            vox_offset: record.f32(108),
+            slope: record.f32(112),
+            intercept: record.f32(116),
+            intent: i64::from(record.i16(68)),
+            qform: i64::from(record.i16(252)),
+            sform: i64::from(record.i16(254)),
+            quaternion: std::array::from_fn(|i| record.f32(256 + 4 * i)),
+            qoffset: std::array::from_fn(|i| record.f32(268 + 4 * i)),
+            srow: std::array::from_fn(|r| {
+                std::array::from_fn(|c| record.f32(280 + 16 * r + 4 * c))
+            }),
+            units: i64::from(record.bytes[123]),
         }
     }
 
-    fn nifti2(&self) -> Fields {
+    fn of_version_2(record: &Record<'_>) -> Self {
         // A 64-bit offset beyond 2^53 is no file's; as a float it fails the checks just as well.
-        let vox_offset = self.i64(168) as f64;
-        Fields {
-            magic: [self.bytes[4], self.bytes[5], self.bytes[6], self.bytes[7]],
-            dim: std::array::from_fn(|i| self.i64(16 + 8 * i)),
-            datatype: self.i16(12),
-            bitpix: self.i16(14),
-            pixdim: std::array::from_fn(|i| self.f64(104 + 8 * i)),
+        let vox_offset = record.i64(168) as f64;
+        Self {
+            magic: [
+                record.bytes[4],
+                record.bytes[5],
+                record.bytes[6],
+                record.bytes[7],
+            ],
+            dim: std::array::from_fn(|i| record.i64(16 + 8 * i)),
+            datatype: record.i16(12),
+            bitpix: record.i16(14),
+            pixdim: std::array::from_fn(|i| record.f64(104 + 8 * i)),
             vox_offset,
-            slope: self.f64(176),
-            intercept: self.f64(184),
-            intent: i64::from(self.i32(504)),
-            qform: i64::from(self.i32(344)),
-            sform: i64::from(self.i32(348)),
-            quaternion: std::array::from_fn(|i| self.f64(352 + 8 * i)),
-            qoffset: std::array::from_fn(|i| self.f64(376 + 8 * i)),
-            srow: std::array::from_fn(|r| std::array::from_fn(|c| self.f64(400 + 32 * r + 8 * c))),
-            units: i64::from(self.i32(500)),
+            slope: record.f64(176),
+            intercept: record.f64(184),
+            intent: i64::from(record.i32(504)),
+            qform: i64::from(record.i32(344)),
+            sform: i64::from(record.i32(348)),
+            quaternion: std::array::from_fn(|i| record.f64(352 + 8 * i)),
+            qoffset: std::array::from_fn(|i| record.f64(376 + 8 * i)),
+            srow: std::array::from_fn(|r| {
+                std::array::from_fn(|c| record.f64(400 + 32 * r + 8 * c))
+            }),
+            units: i64::from(record.i32(500)),
         }
     }
 }
@@ -196,19 +172,22 @@ impl Record<'_> {
 pub(crate) fn parse(input: &mut Input, context: &Context<'_>) -> Result<Parsed, Error> {
     let name = context.name;
     let head = input
-        .peek(4)
+        .peek(SIZE_1)
         .map_err(|e| crate::input::read_error(name, 0, e))?;
     let Some(format) = detect(head) else {
         return Err(Error::invalid(
             name,
-            format!("not a NIfTI header: it begins with {head:02x?}, the size 348 or 540 expected"),
+            format!(
+                "not a NIfTI header: it begins with {:02x?}, the size 348 or 540 expected",
+                &head[..head.len().min(4)]
+            ),
         )
         .at(0));
     };
-    let (size, magic_at) = if format == Format::Nifti1 {
-        (SIZE_1, 344)
-    } else {
+    let (size, magic_at) = if format == Format::Nifti2 {
         (SIZE_2, 4)
+    } else {
+        (SIZE_1, 344)
     };
     let order = if u32::from_le_bytes([head[0], head[1], head[2], head[3]]) == size as u32 {
         ByteOrder::Little
@@ -220,19 +199,18 @@ pub(crate) fn parse(input: &mut Input, context: &Context<'_>) -> Result<Parsed, 
         bytes: &bytes,
         order,
     };
-    let fields = if format == Format::Nifti1 {
-        record.nifti1()
+    let mut warnings = Vec::new();
+    let mut fields = if format == Format::Nifti2 {
+        Fields::of_version_2(&record)
     } else {
-        record.nifti2()
+        Fields::of_version_1(&record)
     };
+    if format == Format::Analyze {
+        analyze::adapt(&record, &mut fields, &mut warnings, name)?;
+    }
     let pair = match (&fields.magic, format) {
         (b"n+1\0", Format::Nifti1) | (b"n+2\0", Format::Nifti2) => false,
-        (b"ni1\0", Format::Nifti1) | (b"ni2\0", Format::Nifti2) => true,
-        ([0, 0, 0, 0], Format::Nifti1) => {
-            return Err(
-                Error::unsupported(name, "an Analyze 7.5 header, which is not read").at(magic_at),
-            );
-        }
+        (b"ni1\0", Format::Nifti1 | Format::Analyze) | (b"ni2\0", Format::Nifti2) => true,
         (magic, _) => {
             return Err(Error::invalid(
                 name,
@@ -264,25 +242,16 @@ pub(crate) fn parse(input: &mut Input, context: &Context<'_>) -> Result<Parsed, 
             byte_order: order,
         },
     );
+    header.warnings = warnings;
     place(&fields, &mut header, name);
+    if format == Format::Analyze {
+        analyze::complete(&record, &mut header);
+    }
     header.scaling = scaling(&fields, &mut header.warnings, name);
 
     let offset = voxel_offset(&fields, format, pair, &mut header.warnings, name)?;
-    let frame = frame(frames, context)?;
-    let skip = header
-        .voxels_bytes()
-        .and_then(|bytes| bytes.checked_mul(frame));
-    let end = header
-        .voxels_bytes()
-        .and_then(|bytes| bytes.checked_mul(frames));
-    let (Some(offset), Some(_)) = (skip.and_then(|skip| skip.checked_add(offset)), end) else {
-        return Err(Error::invalid(
-            name,
-            format!("{frames} frames of {dims:?} voxels do not fit any file"),
-        ));
-    };
     let mut parsed = Parsed::new(header, offset);
-    parsed.frames_behind = frames - 1 - frame;
+    parsed.choose_frame(frames, context)?;
     if pair {
         let path = context.path.unwrap_or(Path::new(""));
         let Some(images) = siblings(path, "hdr", "img") else {
@@ -298,7 +267,7 @@ pub(crate) fn parse(input: &mut Input, context: &Context<'_>) -> Result<Parsed, 
 }
 
 fn voxel(fields: &Fields, format: Format, name: &str) -> Result<VoxelType, Error> {
-    let at = if format == Format::Nifti1 { 70 } else { 12 };
+    let at = if format == Format::Nifti2 { 12 } else { 70 };
     let (voxel, refused) = match fields.datatype {
         2 => (VoxelType::U8, ""),
         4 => (VoxelType::I16, ""),
@@ -343,7 +312,7 @@ fn voxel(fields: &Fields, format: Format, name: &str) -> Result<VoxelType, Error
 
 /// Extents and number of frames.
 fn dims(fields: &Fields, format: Format, name: &str) -> Result<([u64; 3], u64), Error> {
-    let at = if format == Format::Nifti1 { 40 } else { 16 };
+    let at = if format == Format::Nifti2 { 16 } else { 40 };
     let count = fields.dim[0];
     if !(1..=7).contains(&count) {
         return Err(Error::invalid(name, format!("dim[0] is {count}, 3 to 7 expected")).at(at));
@@ -375,26 +344,6 @@ fn dims(fields: &Fields, format: Format, name: &str) -> Result<([u64; 3], u64), 
     Ok((dims, frames))
 }
 
-/// The frame to read.
-fn frame(frames: u64, context: &Context<'_>) -> Result<u64, Error> {
-    match context.options.frame {
-        None if frames == 1 => Ok(0),
-        None => Err(Error::unsupported(
-            context.name,
-            format!(
-                "holds {frames} volumes (time points or channels): choose one with --frame N, 0 \
-                 to {}",
-                frames - 1
-            ),
-        )),
-        Some(frame) if frame < frames => Ok(frame),
-        Some(frame) => Err(Error::invalid(
-            context.name,
-            format!("frame {frame} was asked for, 0 to {} are there", frames - 1),
-        )),
-    }
-}
-
 fn voxel_offset(
     fields: &Fields,
     format: Format,
@@ -402,10 +351,10 @@ fn voxel_offset(
     warnings: &mut Vec<String>,
     name: &str,
 ) -> Result<u64, Error> {
-    let (first, at) = if format == Format::Nifti1 {
-        (352, 108)
-    } else {
+    let (first, at) = if format == Format::Nifti2 {
         (544, 168)
+    } else {
+        (352, 108)
     };
     let offset = fields.vox_offset;
     // Beyond 2^53 a float no longer counts bytes.

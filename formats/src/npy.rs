@@ -10,8 +10,8 @@ use crate::error::Error;
 use crate::header::{ByteOrder, DType, Format, Header};
 use crate::input::Input;
 use crate::npy::literal::Literal;
+use crate::order::AxisOrder;
 use crate::parsed::{Context, Parsed, voxel_type};
-use crate::stored::AxisOrder;
 
 mod literal;
 
@@ -84,8 +84,8 @@ pub(crate) fn parse(input: &mut Input, context: &Context<'_>) -> Result<Parsed, 
     let missing = |key: &str| invalid(format!("the header has no key '{key}'"));
     let dtype = dtype(&descr.ok_or_else(|| missing("descr"))?, name, start)?;
     let order = match fortran.ok_or_else(|| missing("fortran_order"))? {
-        Literal::Bool(false) => AxisOrder::XFastest,
-        Literal::Bool(true) => AxisOrder::ZFastest,
+        Literal::Bool(false) => AxisOrder::X_FASTEST,
+        Literal::Bool(true) => AxisOrder::Z_FASTEST,
         other => {
             return Err(invalid(format!(
                 "fortran_order is {other}, True or False expected"

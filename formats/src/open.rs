@@ -6,23 +6,24 @@
 //! that cannot run forward is copied to memory, up to a limit, or to disk.
 
 use std::fs::File;
-use std::io::Read;
+use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
 
 use crate::bytes::FileBytes;
 use crate::crop::crop;
 use crate::detect::detect;
 use crate::error::Error;
-use crate::forward::{copy, forward};
+use crate::forward::{copy, decode, forward};
 use crate::header::{Format, voxel_count};
 use crate::input::{Compression, DEFLATE_MOST, Input, decompress, read_error};
 use crate::options::OpenOptions;
 use crate::parsed::{Context, Elsewhere, Encoding, Parsed, Start, check_extents};
 use crate::registry::{self, Entry, FOLDERS, READERS, Reader};
+use crate::shares::{SharesVoxels, undecoded};
 use crate::stored::StoredVoxels;
 use crate::stream::{ends_early, trailing};
 use crate::volume::{SourceInfo, Volume, Voxels};
-use crate::{nifti, raw, vol};
+use crate::{nifti, raw, slices, vol};
 
 /// Opens the volume at `path`: a file, or a folder of a format that uses folders.
 ///
@@ -58,7 +59,13 @@ pub fn open_stream(
 fn open_whole(path: &Path, options: &OpenOptions) -> Result<Volume, Error> {
     let name = path.display().to_string();
     let cannot_open = |e| Error::io(&name, "cannot be opened", e);
-    let metadata = std::fs::metadata(path).map_err(cannot_open)?;
+    let metadata = match std::fs::metadata(path) {
+        Err(e) if e.kind() == ErrorKind::NotFound && slices::is_pattern(path) => {
+            registry::check_choices(Format::Slices, &name, options)?;
+            return slices::open_pattern(path, options);
+        }
+        metadata => metadata.map_err(cannot_open)?,
+    };
     if metadata.is_dir() {
         return open_folder(path, &name, options);
     }
@@ -84,7 +91,7 @@ fn open_whole(path: &Path, options: &OpenOptions) -> Result<Volume, Error> {
         options,
         length: plain_length,
     };
-    let misnamed = compression.is_none() && has_extension(path, &["gz", "zst"]);
+    let misnamed = compression.is_none() && has_extension(path, &["gz", "zst", "bz2"]);
     let warning = misnamed.then(|| format!("{name}: named as compressed, but it is not"));
     let mut volume = match choose(&mut input, &context)?.reader {
         Reader::Header(parse) => {
@@ -112,6 +119,7 @@ fn open_whole(path: &Path, options: &OpenOptions) -> Result<Volume, Error> {
             }
             volume
         }
+        #[cfg(not(feature = "hdf5"))]
         Reader::Missing => return Err(Error::unsupported(&name, "is not read by this build")),
     };
     volume.header.warnings.extend(warning);
@@ -187,6 +195,7 @@ fn open_whole_stream(
             volume.source.compressed |= source.compressed;
             Ok(volume)
         }
+        #[cfg(not(feature = "hdf5"))]
         Reader::Missing => Err(Error::unsupported(name, "is not read by this build")),
     }
 }
@@ -262,7 +271,7 @@ impl Place<'_> {
     }
 
     /// Opens the voxels of a header that keeps them in one other file.
-    fn open_sibling(&self, parsed: Parsed, paths: &[PathBuf]) -> Result<Volume, Error> {
+    fn open_sibling(&self, mut parsed: Parsed, paths: &[PathBuf]) -> Result<Volume, Error> {
         let Some(path) = paths.iter().find(|p| p.is_file()) else {
             let tried: Vec<_> = paths.iter().map(|p| p.display().to_string()).collect();
             return Err(Error::invalid(
@@ -280,6 +289,7 @@ impl Place<'_> {
             options: self.options,
         };
         let file = File::open(path).map_err(|e| Error::io(&name, "cannot be opened", e))?;
+        place.pass_lines(&mut parsed, path)?;
         let plain = match (parsed.encoding, parsed.start) {
             (Encoding::Raw, Start::Bytes(skip)) => parsed
                 .header
@@ -326,13 +336,10 @@ impl Place<'_> {
                 format!("{bytes} bytes of voxels cannot be {files} files of the same size"),
             ));
         }
-        if parsed.encoding != Encoding::Raw {
-            return Err(Error::unsupported(
-                self.name,
-                "the voxels are in several files, each compressed: uncompress them first",
-            ));
-        }
         let share = bytes / files;
+        if parsed.encoding != Encoding::Raw || parsed.lines > 0 {
+            return Ok(self.read_files(parsed, paths, share));
+        }
         let joined = FileBytes::joined(self.name, paths, share, |path, length| {
             let from = match parsed.start {
                 Start::Bytes(skip) => Some(parsed.offset.saturating_add(skip)),
@@ -365,6 +372,54 @@ impl Place<'_> {
         })
     }
 
+    /// The voxels of files that must be decoded, one after the other.
+    fn read_files(&self, parsed: Parsed, paths: &[PathBuf], share: u64) -> Volume {
+        let source = SourceInfo {
+            path: paths.first().cloned(),
+            compressed: parsed.encoding != Encoding::Raw,
+            re_readable: true,
+            ..SourceInfo::stream(self.name)
+        };
+        let header = parsed.header.clone();
+        let voxels = SharesVoxels::new(parsed, paths.to_vec(), share);
+        Volume {
+            header,
+            voxels: Voxels::Forward(Box::new(voxels)),
+            source,
+        }
+    }
+
+    /// Counts the lines that are to be passed as bytes.
+    fn pass_lines(&self, parsed: &mut Parsed, path: &Path) -> Result<(), Error> {
+        if parsed.lines > 0 {
+            let input = undecoded(
+                path,
+                self.name,
+                parsed.encoding == Encoding::Raw,
+                parsed.lines,
+            )?;
+            parsed.offset = parsed.offset.saturating_add(input.position());
+            parsed.lines = 0;
+        }
+        Ok(())
+    }
+
+    /// Finds the voxels at the end of decoded data: by decoding it, which takes no memory.
+    fn find_from_end(&self, parsed: &mut Parsed, whole: bool) -> Result<(), Error> {
+        let input = undecoded(self.path, self.name, whole, 0)?;
+        let mut input = decode(input, parsed, self.name)?;
+        let found = input
+            .skip(u64::MAX)
+            .map_err(|e| read_error(self.name, input.position(), e))?;
+        let bytes = parsed.header.voxels_bytes().unwrap_or(u64::MAX);
+        let start = found.checked_sub(bytes).ok_or_else(|| {
+            let plane = parsed.header.plane_bytes().unwrap_or(u64::MAX);
+            ends_early(self.name, found, found, bytes, plane)
+        })?;
+        parsed.start = Start::Bytes(start);
+        Ok(())
+    }
+
     /// The volume, once it is known where its voxels are.
     fn finish(
         &self,
@@ -384,18 +439,21 @@ impl Place<'_> {
                 ..SourceInfo::stream(self.name)
             };
             self.check_ratio(&parsed, compression, length)?;
+            if parsed.start == Start::FromEnd {
+                self.find_from_end(&mut parsed, compression.is_some())?;
+            }
             if parsed.maybe_eight_bytes {
                 self.count_voxel_bytes(&mut parsed)?;
             }
             return forward(parsed, input, self.name, self.options, source);
         }
         drop(input);
+        let behind = parsed.bytes_behind();
         let Parsed {
             mut header,
             offset,
             start,
             order,
-            frames_behind,
             ..
         } = parsed;
         let bytes = header.voxels_bytes().unwrap_or(u64::MAX);
@@ -409,7 +467,7 @@ impl Place<'_> {
             return Err(ends_early(self.name, length, available, bytes, plane));
         }
         // Checked by the format: all frames together fit `u64`.
-        let used = bytes.saturating_mul(frames_behind.saturating_add(1));
+        let used = bytes.saturating_add(behind);
         if available > used {
             header
                 .warnings
@@ -432,11 +490,12 @@ impl Place<'_> {
         compression: Option<Compression>,
         length: u64,
     ) -> Result<(), Error> {
-        let zlib = parsed.encoding == Encoding::Zlib;
+        let raw = parsed.encoding == Encoding::Raw;
+        let deflated = matches!(parsed.encoding, Encoding::Zlib | Encoding::Gzip);
         let single = match compression {
-            Some(Compression::Gzip) => !zlib,
-            Some(Compression::Zstd) => false,
-            None => zlib,
+            Some(Compression::Gzip) => raw,
+            Some(Compression::Zstd | Compression::Bzip2) => false,
+            None => deflated,
         };
         let bytes = parsed.header.voxels_bytes().unwrap_or(u64::MAX);
         if single && bytes / DEFLATE_MOST > length {

@@ -9,7 +9,7 @@ use crate::error::Error;
 use crate::header::{Header, VoxelType};
 use crate::input::{Input, read_error};
 use crate::options::OpenOptions;
-use crate::stored::AxisOrder;
+use crate::order::AxisOrder;
 
 /// How the bytes of the voxels are encoded, apart from a compression of the whole file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -18,6 +18,18 @@ pub(crate) enum Encoding {
     Raw,
     /// zlib data (RFC 1950).
     Zlib,
+    /// gzip members.
+    Gzip,
+    /// bzip2 streams.
+    Bzip2,
+    /// Zstandard frames.
+    Zstd,
+    /// Numbers in text.
+    Text,
+    /// Two hexadecimal digits for each byte.
+    Hex,
+    /// One bit a voxel, the first in the highest bit of a byte; the voxels are `bool`.
+    Bits,
 }
 
 /// The files that hold the voxels.
@@ -44,6 +56,8 @@ pub(crate) enum Start {
 #[derive(Debug)]
 pub(crate) struct Parsed {
     pub(crate) header: Header,
+    /// Lines to pass in files other than the header's, before `offset` is counted.
+    pub(crate) lines: u64,
     /// Offset of the (encoded) voxels in the (decompressed) file that holds them.
     pub(crate) offset: u64,
     pub(crate) encoding: Encoding,
@@ -55,20 +69,57 @@ pub(crate) struct Parsed {
     pub(crate) maybe_eight_bytes: bool,
     /// How many volumes of the same size follow the one to be read.
     pub(crate) frames_behind: u64,
+    /// What follows the voxels belongs to the file, however much it is.
+    pub(crate) footer: bool,
 }
 
 impl Parsed {
     pub(crate) fn new(header: Header, offset: u64) -> Self {
         Self {
             header,
+            lines: 0,
             offset,
             encoding: Encoding::Raw,
             start: Start::Bytes(0),
-            order: AxisOrder::XFastest,
+            order: AxisOrder::X_FASTEST,
             elsewhere: Elsewhere::Here,
             maybe_eight_bytes: false,
             frames_behind: 0,
+            footer: false,
         }
+    }
+
+    /// Moves on to the frame that the caller wants, of `frames` one behind the other.
+    ///
+    /// # Errors
+    ///
+    /// If the choice is missing or there is no such frame, or if no file can hold so many.
+    pub(crate) fn choose_frame(&mut self, frames: u64, context: &Context<'_>) -> Result<(), Error> {
+        let frame = context.frame(frames)?;
+        let bytes = self.header.voxels_bytes();
+        let skip = bytes.and_then(|bytes| bytes.checked_mul(frame)?.checked_add(self.offset));
+        let end = bytes.and_then(|bytes| bytes.checked_mul(frames));
+        let (Some(offset), Some(_)) = (skip, end) else {
+            return Err(Error::invalid(
+                context.name,
+                format!(
+                    "{frames} frames of {:?} voxels do not fit any file",
+                    self.header.dims
+                ),
+            ));
+        };
+        self.offset = offset;
+        self.frames_behind = frames - 1 - frame;
+        Ok(())
+    }
+
+    /// Bytes behind the voxels that are no surprise.
+    pub(crate) fn bytes_behind(&self) -> u64 {
+        if self.footer {
+            return u64::MAX;
+        }
+        let bytes = self.header.voxels_bytes().unwrap_or(u64::MAX);
+        bytes.saturating_mul(self.frames_behind)
     }
 }
 
@@ -105,6 +156,26 @@ impl Context<'_> {
     /// The error a failed read of the header is.
     pub(crate) fn read_error(&self, input: &Input, error: std::io::Error) -> Error {
         read_error(self.name, input.position(), error)
+    }
+
+    /// The volume to read out of `frames`: the one that was asked for, or the only one.
+    pub(crate) fn frame(&self, frames: u64) -> Result<u64, Error> {
+        match self.options.frame {
+            None if frames == 1 => Ok(0),
+            None => Err(Error::unsupported(
+                self.name,
+                format!(
+                    "holds {frames} volumes (time points or channels): choose one with --frame N, \
+                     0 to {}",
+                    frames - 1
+                ),
+            )),
+            Some(frame) if frame < frames => Ok(frame),
+            Some(frame) => Err(Error::invalid(
+                self.name,
+                format!("frame {frame} was asked for, 0 to {} are there", frames - 1),
+            )),
+        }
     }
 
     /// The path of the file that the header calls `named`, which must lie in the header's folder

@@ -13,7 +13,9 @@ use crate::input::Input;
 use crate::options::OpenOptions;
 use crate::parsed::{Context, Parsed};
 use crate::volume::Volume;
-use crate::{nifti, npy, raw, vol};
+use crate::{
+    dicom, metaimage, mgh, mrc, nifti, npy, npz, nrrd, raw, slices, tiff, vdb, vol, vtk, zarr,
+};
 
 /// What there is to know about a format before a file is opened.
 #[derive(Clone, Copy, Debug)]
@@ -63,6 +65,18 @@ const FRAME: Choices = Choices {
     ..NONE
 };
 
+const DATASET: Choices = Choices {
+    dataset: true,
+    ..NONE
+};
+
+const ALL: Choices = Choices {
+    frame: true,
+    channel: true,
+    dataset: true,
+    level: true,
+};
+
 /// All formats, in the order of the table that is printed.
 pub fn formats() -> &'static [FormatInfo] {
     FORMATS
@@ -109,6 +123,171 @@ static FORMATS: &[FormatInfo] = &[
         missing_feature: None,
     },
     FormatInfo {
+        format: Format::Analyze,
+        names: &["analyze"],
+        title: "Analyze 7.5",
+        extensions: ".hdr/.img",
+        variants: "pair, either byte order; SPM's factor and types",
+        forward: true,
+        choices: FRAME,
+        missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::Nrrd,
+        names: &["nrrd", "nhdr"],
+        title: "NRRD",
+        extensions: ".nrrd .nhdr",
+        variants: "attached, detached, lists and patterns of files; raw, text, hex, gzip, bzip2, zstd",
+        forward: true,
+        choices: FRAME,
+        missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::MetaImage,
+        names: &["metaimage", "mha", "mhd"],
+        title: "MetaImage",
+        extensions: ".mha .mhd",
+        variants: "attached, detached, lists and patterns of files; binary, text, zlib",
+        forward: true,
+        choices: FRAME,
+        missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::Mgh,
+        names: &["mgh", "mgz"],
+        title: "FreeSurfer MGH",
+        extensions: ".mgh .mgz",
+        variants: "version 1; u8, i16, u16, i32, f32; frames",
+        forward: true,
+        choices: FRAME,
+        missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::Mrc,
+        names: &["mrc", "ccp4", "map"],
+        title: "MRC/CCP4",
+        extensions: ".mrc .map .ccp4 .rec .st",
+        variants: "modes 0, 1, 2, 6, 12, either byte order, any order of axes; volume stacks",
+        forward: true,
+        choices: FRAME,
+        missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::Vtk,
+        names: &["vtk"],
+        title: "VTK legacy",
+        extensions: ".vtk",
+        variants: "structured points, binary and ASCII, point and cell data, scalars and fields",
+        forward: true,
+        choices: DATASET,
+        missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::Tiff,
+        names: &["tiff", "tif"],
+        title: "TIFF",
+        extensions: ".tif .tiff .ome.tif .btf .lsm",
+        variants: "BigTIFF, ImageJ, OME; strips and tiles; LZW, deflate, zstd, PackBits, CCITT, grey JPEG; 1 to 64 bits",
+        forward: false,
+        choices: Choices {
+            frame: true,
+            channel: true,
+            dataset: true,
+            level: true,
+        },
+        missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::Slices,
+        names: &["slices"],
+        title: "slices",
+        extensions: "a folder or 'pattern*' of .tif .png .jpg .pgm",
+        variants: "one grey image a plane, in natural order",
+        forward: false,
+        choices: Choices {
+            frame: true,
+            channel: true,
+            dataset: true,
+            level: true,
+        },
+        missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::Dicom,
+        names: &["dicom", "dcm"],
+        title: "DICOM",
+        extensions: "folder, .dcm",
+        variants: "series in a folder, multi-frame file; plain, deflate, RLE, JPEG, JPEG-LS, JPEG 2000",
+        forward: false,
+        choices: Choices {
+            frame: true,
+            dataset: true,
+            ..NONE
+        },
+        missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::Zarr,
+        names: &["zarr", "ome-zarr"],
+        title: "Zarr, OME-Zarr",
+        extensions: ".zarr .ome.zarr",
+        variants: "version 2 and 3, shards, OME-Zarr 0.1 to 0.5; blosc, zstd, lz4, gzip, zlib, bz2",
+        forward: false,
+        choices: ALL,
+        missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::N5,
+        names: &["n5"],
+        title: "N5",
+        extensions: ".n5",
+        variants: "raw, gzip, bzip2, lz4, blosc, zstd; pyramids s0, s1",
+        forward: false,
+        choices: ALL,
+        missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::Hdf5,
+        names: &["hdf5", "h5"],
+        title: "HDF5",
+        extensions: ".h5 .hdf5 .nxs .ims .mnc .mat",
+        variants: "contiguous, compact and chunked datasets; deflate, shuffle, fletcher32, lzf, \
+                   blosc, bitshuffle, lz4, zstd, bzip2; Imaris, BigDataViewer, MINC 2, Data \
+                   Exchange, NeXus, MATLAB 7.3",
+        forward: false,
+        choices: ALL,
+        missing_feature: if cfg!(feature = "hdf5") {
+            None
+        } else {
+            Some("hdf5")
+        },
+    },
+    FormatInfo {
+        format: Format::Vdb,
+        names: &["vdb", "openvdb"],
+        title: "OpenVDB",
+        extensions: ".vdb",
+        variants: "versions 213 to 225; grids of numbers, bool and mask; none, zip, Blosc, active \
+                   mask, half; affine transforms; streams",
+        forward: false,
+        choices: DATASET,
+        missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::VdbRs,
+        names: &["vdb-rs"],
+        title: "OpenVDB by vdb-rs",
+        extensions: ".vdb",
+        variants: "a second reader, only when asked for: float and int32, background 0, no stream, \
+                   scale and translation; the rest is refused",
+        forward: false,
+        choices: DATASET,
+        #[cfg(feature = "vdb-rs")]
+        missing_feature: None,
+        #[cfg(not(feature = "vdb-rs"))]
+        missing_feature: Some("vdb-rs"),
+    },
+    FormatInfo {
         format: Format::Npy,
         names: &["npy"],
         title: "NumPy array",
@@ -116,6 +295,16 @@ static FORMATS: &[FormatInfo] = &[
         variants: "format 1 to 3, C and Fortran order, either byte order",
         forward: true,
         choices: NONE,
+        missing_feature: None,
+    },
+    FormatInfo {
+        format: Format::Npz,
+        names: &["npz"],
+        title: "NumPy archive",
+        extensions: ".npz",
+        variants: "stored and deflated members",
+        forward: false,
+        choices: DATASET,
         missing_feature: None,
     },
     FormatInfo {
@@ -140,16 +329,17 @@ static FORMATS: &[FormatInfo] = &[
     },
 ];
 
+const HDF5_MAGIC: &[u8] = b"\x89HDF\r\n\x1a\n";
+
 /// How the voxels of a file are found.
 #[derive(Clone, Copy)]
 pub(crate) enum Reader {
     /// The header first, the voxels after it (or in other files), one behind the other.
     Header(fn(&mut Input, &Context<'_>) -> Result<Parsed, Error>),
     /// The bytes are needed in an order of the reader's own.
-    #[allow(dead_code)]
     Bytes(fn(FileBytes, &Context<'_>) -> Result<Volume, Error>),
     /// Nothing in this build: see [`FormatInfo::missing_feature`].
-    #[allow(dead_code)]
+    #[cfg(not(feature = "hdf5"))]
     Missing,
 }
 
@@ -163,10 +353,26 @@ pub(crate) struct Entry {
 
 /// Readers of files. The first that recognises the content is taken.
 pub(crate) static READERS: &[Entry] = &[
+    // Before others: a DICOM file may begin with the header of another format, TIFF mostly.
+    Entry {
+        format: Format::Dicom,
+        detect: dicom::detect,
+        reader: Reader::Bytes(dicom::open_file),
+    },
     Entry {
         format: Format::Npy,
         detect: |head| head.starts_with(npy::MAGIC),
         reader: Reader::Header(npy::parse),
+    },
+    Entry {
+        format: Format::Npz,
+        detect: npz::detect,
+        reader: Reader::Bytes(npz::open),
+    },
+    Entry {
+        format: Format::Analyze,
+        detect: |head| nifti::detect(head) == Some(Format::Analyze),
+        reader: Reader::Header(nifti::parse),
     },
     Entry {
         format: Format::Nifti1,
@@ -179,6 +385,16 @@ pub(crate) static READERS: &[Entry] = &[
         reader: Reader::Header(nifti::parse),
     },
     Entry {
+        format: Format::Nrrd,
+        detect: |head| head.starts_with(nrrd::MAGIC),
+        reader: Reader::Header(nrrd::parse),
+    },
+    Entry {
+        format: Format::MetaImage,
+        detect: metaimage::detect,
+        reader: Reader::Header(metaimage::parse),
+    },
+    Entry {
         format: Format::Vol,
         detect: |head| vol::detect(head) == Some(Format::Vol),
         reader: Reader::Header(vol::parse),
@@ -187,6 +403,55 @@ pub(crate) static READERS: &[Entry] = &[
         format: Format::Longvol,
         detect: |head| vol::detect(head) == Some(Format::Longvol),
         reader: Reader::Header(vol::parse),
+    },
+    Entry {
+        format: Format::Vtk,
+        detect: vtk::detect,
+        reader: Reader::Header(vtk::parse),
+    },
+    Entry {
+        format: Format::Tiff,
+        detect: tiff::detect,
+        reader: Reader::Bytes(tiff::open),
+    },
+    Entry {
+        format: Format::Hdf5,
+        // MATLAB writes behind 512 bytes of its own.
+        detect: |head| {
+            [0, 512]
+                .iter()
+                .any(|at| head.get(*at..).is_some_and(|h| h.starts_with(HDF5_MAGIC)))
+        },
+        #[cfg(feature = "hdf5")]
+        reader: Reader::Bytes(crate::hdf5::read),
+        #[cfg(not(feature = "hdf5"))]
+        reader: Reader::Missing,
+    },
+    Entry {
+        format: Format::Vdb,
+        detect: vdb::detect,
+        reader: Reader::Bytes(vdb::open),
+    },
+    #[cfg(feature = "vdb-rs")]
+    Entry {
+        format: Format::VdbRs,
+        detect: |_| false,
+        reader: Reader::Bytes(vdb::vdb_rs::open),
+    },
+    Entry {
+        format: Format::Slices,
+        detect: slices::is_image,
+        reader: Reader::Bytes(slices::refuse_one),
+    },
+    Entry {
+        format: Format::Mrc,
+        detect: mrc::detect,
+        reader: Reader::Header(mrc::parse),
+    },
+    Entry {
+        format: Format::Mgh,
+        detect: mgh::detect,
+        reader: Reader::Header(mgh::parse),
     },
     Entry {
         format: Format::Raw,
@@ -204,7 +469,28 @@ pub(crate) struct Folder {
 }
 
 /// Readers of folders. The first that recognises the folder is taken.
-pub(crate) static FOLDERS: &[Folder] = &[];
+pub(crate) static FOLDERS: &[Folder] = &[
+    Folder {
+        format: Format::Zarr,
+        detect: zarr::detect,
+        open: zarr::open_folder,
+    },
+    Folder {
+        format: Format::N5,
+        detect: zarr::detect_n5,
+        open: zarr::open_n5_folder,
+    },
+    Folder {
+        format: Format::Dicom,
+        detect: dicom::detect_folder,
+        open: dicom::open_folder,
+    },
+    Folder {
+        format: Format::Slices,
+        detect: slices::detect,
+        open: slices::open_folder,
+    },
+];
 
 /// Refuses choices that the format does not offer.
 pub(crate) fn check_choices(

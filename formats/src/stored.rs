@@ -2,23 +2,23 @@
 //!
 //! In: bytes and where the voxels lie in them. Out: [`RandomVoxels`]. Guaranteed: every access
 //! is checked against the extents; the resident part of a map stays small when `release` is
-//! called, and during transposed reads without it. Files that store z fastest (NumPy's Fortran
-//! order of a (z, y, x) array) are transposed while reading: a box of many planes then costs
-//! little more than one plane, so such files are best read in thick boxes.
+//! called, and during transposed reads without it. Files that store the axes in another order
+//! (NumPy's Fortran order of a (z, y, x) array, permuted maps) are transposed while reading.
+//! Where z is not the slowest axis, a box of many planes costs little more than one plane, so
+//! such files are best read in thick boxes.
 
 use crate::bytes::FileBytes;
 use crate::error::Error;
 use crate::header::{Header, Region};
+use crate::order::AxisOrder;
 use crate::volume::RandomVoxels;
 
-/// In which order the voxels are stored.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum AxisOrder {
-    /// x varies fastest, then y: the canonical order.
-    XFastest,
-    /// z varies fastest, then y.
-    ZFastest,
-}
+/// Rows are read together up to this size ...
+const SPAN_BYTES: usize = 128 << 10;
+/// ... if no more than this lies unused between them: a page or two is read anyway.
+const GAP_BYTES: usize = 16 << 10;
+/// Mapped bytes touched before they are given back.
+const RELEASE_BYTES: u64 = 16 << 20;
 
 /// Voxels stored one behind the other.
 #[derive(Debug)]
@@ -42,7 +42,9 @@ impl StoredVoxels {
         header: &Header,
         order: AxisOrder,
     ) -> Self {
-        if let (Some(map), AxisOrder::XFastest) = (bytes.map(), order) {
+        if order.has_whole_planes()
+            && let Some(map) = bytes.map()
+        {
             map.expect_sequential();
         }
         Self {
@@ -87,7 +89,43 @@ impl StoredVoxels {
         Ok(())
     }
 
-    /// Copies a box of voxels stored with z fastest, transposing it.
+    /// Copies a box of voxels stored x fastest, then z: rows, plane by plane.
+    fn read_swapped(&self, region: &Region, out: &mut [u8]) -> Result<(), Error> {
+        let step = self.steps();
+        let [sx, sy, sz] = self.sizes(region)?;
+        let run = sx * self.voxel_bytes;
+        let stride = self.size(step[2])?;
+        let rows = if stride - run <= GAP_BYTES {
+            (SPAN_BYTES / stride).clamp(1, sz)
+        } else {
+            1
+        };
+        let reads = !self.bytes.in_memory();
+        let mut buffer = vec![0; if reads { (rows - 1) * stride + run } else { 0 }];
+        let mut release = Release::new(self, region);
+        for y in 0..sy {
+            for first in (0..sz).step_by(rows) {
+                let rows = rows.min(sz - first);
+                let span = (rows - 1) * stride + run;
+                let start = self.at(region, [0, y, first]);
+                let bytes = if reads {
+                    self.bytes.read_into(start, &mut buffer[..span])?;
+                    &buffer[..span]
+                } else {
+                    self.bytes.slice(start, span as u64)?.unwrap_or_default()
+                };
+                for row in 0..rows {
+                    let to = ((first + row) * sy + y) * run;
+                    let from = row * stride;
+                    out[to..to + run].copy_from_slice(&bytes[from..from + run]);
+                }
+            }
+            release.slow_steps(1, y + 1 == sy);
+        }
+        Ok(())
+    }
+
+    /// Copies a box of voxels whose fastest axis is not x, transposing it.
     fn read_transposed(&self, region: &Region, out: &mut [u8]) -> Result<(), Error> {
         match self.voxel_bytes {
             1 => self.transpose::<1>(region, out),
@@ -101,68 +139,118 @@ impl StoredVoxels {
         /// Columns of x transposed together: writes then fill whole cache lines. Fewer waste
         /// them, more columns than this no longer fit the first-level cache.
         const TILE: usize = 32;
-        /// Rows are read together up to this size ...
-        const SPAN_BYTES: usize = 128 << 10;
-        /// ... if no more than this lies unused between them: a page or two is read anyway.
-        const GAP_BYTES: usize = 16 << 10;
-        /// Mapped bytes touched before they are given back.
-        const RELEASE_BYTES: u64 = 16 << 20;
-        let [_, ny, nz] = self.dims;
-        let [x0, y0, z0] = region.origin;
-        let too_large = || Error::unsupported(&self.name, "the box does not fit memory");
-        let size = |n: u64| usize::try_from(n).map_err(|_| too_large());
-        let (sx, sy, sz) = (
-            size(region.size[0])?,
-            size(region.size[1])?,
-            size(region.size[2])?,
-        );
-        let at = |x: u64, y: u64| self.offset + ((x * ny + y) * nz + z0) * B as u64;
-        let run = sz.checked_mul(B).ok_or_else(too_large)?;
-        let stride = size(nz * B as u64)?;
-        let rows = if stride - run <= GAP_BYTES {
-            (SPAN_BYTES / stride).clamp(1, sy)
+        let fast = self.order.fastest();
+        // The axis that is neither x nor the fastest; 1 and 2 are y and z.
+        let third = 3 - fast;
+        let step = self.steps();
+        let size = self.sizes(region)?;
+        let (sx, runs, run) = (size[0], size[third], size[fast] * B);
+        let (x_step, row_step) = (self.size(step[0])?, self.size(step[third])?);
+        // Voxels between neighbours in the box.
+        let to_step = [1, sx, sx * size[1]];
+        let x_slowest = self.order.slowest() == 0;
+        // What lies close together is read together: rows along the third axis, or columns.
+        let rows = if x_slowest && row_step - run <= GAP_BYTES {
+            (SPAN_BYTES / row_step).clamp(1, runs)
         } else {
             1
         };
+        let joint = !x_slowest && x_step - run <= GAP_BYTES;
 
-        // Only a file that is read needs buffers; mapped bytes are used where they are.
-        let span_most = (rows - 1) * stride + run;
+        // Only a file that is read needs a buffer; mapped bytes are used where they are.
         let reads = !self.bytes.in_memory();
-        let mut buffers = vec![vec![0; if reads { span_most } else { 0 }]; TILE.min(sx)];
-        let mut touched = 0;
-        for first in (0..sx).step_by(TILE) {
+        let span_most = (rows - 1) * row_step + run;
+        let pitch = if joint { x_step } else { span_most };
+        let tile = TILE.min(sx);
+        let mut buffer = vec![
+            0;
+            if reads {
+                (tile - 1) * pitch + span_most
+            } else {
+                0
+            }
+        ];
+        let mut copy = |first: usize, row: usize| -> Result<(), Error> {
             let columns = TILE.min(sx - first);
-            for y in (0..sy).step_by(rows) {
-                let rows = rows.min(sy - y);
-                let span = (rows - 1) * stride + run;
-                let mut spans: [&[u8]; TILE] = [&[]; TILE];
-                for (c, buffer) in buffers.iter_mut().take(columns).enumerate() {
-                    let start = at(x0 + (first + c) as u64, y0 + y as u64);
-                    spans[c] = if reads {
-                        self.bytes.read_into(start, &mut buffer[..span])?;
-                        &buffer[..span]
-                    } else {
-                        self.bytes.slice(start, span as u64)?.unwrap_or_default()
-                    };
+            let rows = rows.min(runs - row);
+            let span = (rows - 1) * row_step + run;
+            let start = |c: usize| {
+                let mut at = [0; 3];
+                (at[0], at[third]) = (first + c, row);
+                self.at(region, at)
+            };
+            if reads && joint {
+                let all = (columns - 1) * pitch + span;
+                self.bytes.read_into(start(0), &mut buffer[..all])?;
+            } else if reads {
+                for c in 0..columns {
+                    let to = &mut buffer[c * pitch..c * pitch + span];
+                    self.bytes.read_into(start(c), to)?;
                 }
-                for row in 0..rows {
-                    for z in 0..sz {
-                        let to = ((z * sy + y + row) * sx + first) * B;
-                        let from = row * stride + z * B;
-                        let to = out[to..to + columns * B].chunks_exact_mut(B);
-                        for (voxel, span) in to.zip(&spans) {
-                            voxel.copy_from_slice(&span[from..from + B]);
-                        }
+            }
+            let mut spans: [&[u8]; TILE] = [&[]; TILE];
+            for (c, bytes) in spans.iter_mut().take(columns).enumerate() {
+                *bytes = if reads {
+                    &buffer[c * pitch..c * pitch + span]
+                } else {
+                    let span = self.bytes.slice(start(c), span as u64)?;
+                    span.unwrap_or_default()
+                };
+            }
+            for k in 0..rows {
+                for f in 0..size[fast] {
+                    let to = ((row + k) * to_step[third] + f * to_step[fast] + first) * B;
+                    let from = k * row_step + f * B;
+                    let to = out[to..to + columns * B].chunks_exact_mut(B);
+                    for (voxel, span) in to.zip(&spans) {
+                        voxel.copy_from_slice(&span[from..from + B]);
                     }
                 }
             }
-            touched += (columns as u64).saturating_mul(ny * nz * B as u64);
-            if touched >= RELEASE_BYTES || first + columns >= sx {
-                touched = 0;
-                self.release_bytes(self.offset, at(x0 + (first + columns - 1) as u64, ny - 1));
+            Ok(())
+        };
+
+        // The slowest axis outermost, so that the file is walked from its begin to its end.
+        let mut release = Release::new(self, region);
+        if x_slowest {
+            for first in (0..sx).step_by(TILE) {
+                for row in (0..runs).step_by(rows) {
+                    copy(first, row)?;
+                }
+                release.slow_steps(TILE.min(sx - first) as u64, first + TILE >= sx);
+            }
+        } else {
+            for row in 0..runs {
+                for first in (0..sx).step_by(TILE) {
+                    copy(first, row)?;
+                }
+                release.slow_steps(1, row + 1 == runs);
             }
         }
         Ok(())
+    }
+
+    /// Bytes between neighbours along x, y and z. They fit, as the volume does.
+    fn steps(&self) -> [u64; 3] {
+        let strides = self.order.strides(self.dims);
+        strides.map(|n| n * self.voxel_bytes as u64)
+    }
+
+    /// Offset of a voxel of the region.
+    fn at(&self, region: &Region, at: [usize; 3]) -> u64 {
+        let step = self.steps();
+        let from = |axis: usize| (region.origin[axis] + at[axis] as u64) * step[axis];
+        self.offset + from(0) + from(1) + from(2)
+    }
+
+    fn size(&self, bytes: u64) -> Result<usize, Error> {
+        usize::try_from(bytes)
+            .map_err(|_| Error::unsupported(&self.name, "the box does not fit memory"))
+    }
+
+    fn sizes(&self, region: &Region) -> Result<[usize; 3], Error> {
+        let [x, y, z] = region.size;
+        Ok([self.size(x)?, self.size(y)?, self.size(z)?])
     }
 
     fn release_bytes(&self, start: u64, end: u64) {
@@ -182,9 +270,12 @@ impl RandomVoxels for StoredVoxels {
         if out.is_empty() {
             return Ok(());
         }
-        match self.order {
-            AxisOrder::XFastest => self.read_rows(region, out)?,
-            AxisOrder::ZFastest => self.read_transposed(region, out)?,
+        if self.order == AxisOrder::X_FASTEST {
+            self.read_rows(region, out)?;
+        } else if self.order.fastest() == 0 {
+            self.read_swapped(region, out)?;
+        } else {
+            self.read_transposed(region, out)?;
         }
         self.check()
     }
@@ -195,7 +286,7 @@ impl RandomVoxels for StoredVoxels {
             origin: [0, 0, z],
             size: [nx, ny, count],
         })?;
-        if self.order != AxisOrder::XFastest {
+        if self.order != AxisOrder::X_FASTEST {
             return Ok(None);
         }
         self.check()?;
@@ -209,9 +300,44 @@ impl RandomVoxels for StoredVoxels {
 
     fn release(&self, z_end: u64) {
         let [nx, ny, nz] = self.dims;
-        if self.order == AxisOrder::XFastest {
+        if self.order.has_whole_planes() {
             let plane = nx * ny * self.voxel_bytes as u64;
             self.release_bytes(self.offset, self.offset + z_end.min(nz) * plane);
+        }
+    }
+}
+
+/// Gives mapped bytes back while a box is read whose planes are not stored one by one, so that
+/// all of the file is touched. Where they are, [`RandomVoxels::release`] does it.
+struct Release<'a> {
+    voxels: &'a StoredVoxels,
+    /// Bytes of one step along the slowest axis.
+    step: u64,
+    /// Steps along the slowest axis that were read, from the begin of the volume.
+    done: u64,
+    touched: u64,
+}
+
+impl<'a> Release<'a> {
+    fn new(voxels: &'a StoredVoxels, region: &Region) -> Self {
+        let slowest = voxels.order.slowest();
+        Self {
+            voxels,
+            step: voxels.steps()[slowest],
+            done: region.origin[slowest],
+            touched: 0,
+        }
+    }
+
+    /// `count` more steps along the slowest axis were read, the last ones if so.
+    fn slow_steps(&mut self, count: u64, last: bool) {
+        self.done += count;
+        self.touched = self.touched.saturating_add(count * self.step);
+        if !self.voxels.order.has_whole_planes() && (self.touched >= RELEASE_BYTES || last) {
+            self.touched = 0;
+            let start = self.voxels.offset;
+            self.voxels
+                .release_bytes(start, start + self.done * self.step);
         }
     }
 }

@@ -4,35 +4,54 @@
 //! follows the bytes that are there, not the size the header claims; a stream that ends early is
 //! an error that says how much of the volume there was.
 
+use std::io;
+
 use crate::error::Error;
 use crate::header::Header;
 use crate::input::{Input, read_error};
+use crate::order::{AxisOrder, transpose_plane};
 use crate::volume::ForwardVoxels;
 
 /// The planes of a stream.
 pub(crate) struct StreamVoxels {
     input: Input,
     name: String,
+    /// Voxels along x and y, and bytes of one.
+    plane: [u64; 2],
+    voxel_bytes: usize,
+    order: AxisOrder,
+    /// A plane in the order of the file, where that is not the canonical one.
+    stored: Vec<u8>,
     plane_bytes: u64,
     planes: u64,
     done: u64,
-    /// Bytes of further volumes behind this one.
+    /// Bytes that may follow the volume.
     behind: u64,
     finished: bool,
 }
 
 impl StreamVoxels {
-    /// Planes of `input`, which stands at the first voxel. The header has been checked, so its
-    /// sizes fit.
-    pub(crate) fn new(input: Input, name: &str, header: &Header, frames_behind: u64) -> Self {
-        let volume_bytes = header.voxels_bytes().unwrap_or(u64::MAX);
+    /// Planes of `input`, which stands at the first voxel, stored in an order of whole planes;
+    /// `behind` bytes may follow them. The header has been checked, so its sizes fit.
+    pub(crate) fn new(
+        input: Input,
+        name: &str,
+        header: &Header,
+        order: AxisOrder,
+        behind: u64,
+    ) -> Self {
+        debug_assert!(order.has_whole_planes());
         Self {
             input,
             name: name.to_string(),
+            plane: [header.dims[0], header.dims[1]],
+            voxel_bytes: header.voxel.bytes(),
+            order,
+            stored: Vec::new(),
             plane_bytes: header.plane_bytes().unwrap_or(u64::MAX),
             planes: header.dims[2],
             done: 0,
-            behind: volume_bytes.saturating_mul(frames_behind),
+            behind,
             finished: false,
         }
     }
@@ -44,10 +63,12 @@ impl ForwardVoxels for StreamVoxels {
         let count = count.min(self.planes - self.done);
         // Fits: it is at most the bytes of the volume, which were checked.
         let wanted = count.saturating_mul(self.plane_bytes);
-        let found = self
-            .input
-            .append(wanted, out)
-            .map_err(|e| read_error(&self.name, self.input.position(), e))?;
+        let found = if self.order == AxisOrder::X_FASTEST {
+            self.input.append(wanted, out)
+        } else {
+            self.transposed(count, out)
+        };
+        let found = found.map_err(|e| read_error(&self.name, self.input.position(), e))?;
         if found < wanted {
             let total = self.planes.saturating_mul(self.plane_bytes);
             let have = self.done * self.plane_bytes + found;
@@ -73,9 +94,30 @@ impl ForwardVoxels for StreamVoxels {
     }
 }
 
+impl StreamVoxels {
+    /// Appends up to `count` planes to `out`, x fastest; gives the number of bytes there were.
+    fn transposed(&mut self, count: u64, out: &mut Vec<u8>) -> io::Result<u64> {
+        // A plane in memory has extents that fit.
+        let [nx, ny] = self.plane.map(|n| usize::try_from(n).unwrap_or(usize::MAX));
+        let mut found = 0;
+        for _ in 0..count {
+            self.stored.clear();
+            let bytes = self.input.append(self.plane_bytes, &mut self.stored)?;
+            found += bytes;
+            if bytes < self.plane_bytes {
+                break;
+            }
+            let start = out.len();
+            out.resize(start + self.stored.len(), 0);
+            transpose_plane(self.voxel_bytes, nx, ny, &self.stored, &mut out[start..]);
+        }
+        Ok(found)
+    }
+}
+
 /// Reads what follows the voxels (`volume_bytes` in all), so that checksums are verified, and
 /// gives warnings. `read` bytes behind the voxels have been read already; `frames` bytes there
-/// are other volumes that belong to the file.
+/// are other volumes that belong to the file, `u64::MAX` where all of them do.
 pub(crate) fn look_behind(
     input: &mut Input,
     name: &str,
@@ -101,12 +143,11 @@ pub(crate) fn look_behind(
     } else if behind > frames {
         warnings.push(trailing(name, end + frames, behind - frames));
     }
-    warnings.extend(
-        input
-            .notes()
-            .into_iter()
-            .map(|note| format!("{name}: {note}")),
-    );
+    // Where anything may follow, nothing is worth a note.
+    if frames < u64::MAX {
+        let notes = input.notes().into_iter();
+        warnings.extend(notes.map(|note| format!("{name}: {note}")));
+    }
     Ok(warnings)
 }
 

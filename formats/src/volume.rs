@@ -113,11 +113,16 @@ pub trait RandomVoxels: Send + Sync {
     /// If the file changed under the map meanwhile: what was computed from the bytes is wrong.
     fn check(&self) -> Result<(), Error>;
 
-    /// The shape, along x, y, z, of the pieces in which the voxels are decoded, the first of which
-    /// begins at voxel (0, 0, 0); `None` where any box costs as much as its bytes. Reading a part
-    /// of a piece decodes all of it.
+    /// The shape, along x, y, z, of the pieces in which the voxels are decoded; `None` where any
+    /// box costs as much as its bytes. Reading a part of a piece decodes all of it.
     fn chunk(&self) -> Option<[u64; 3]> {
         None
+    }
+
+    /// How many voxels of the first piece lie before voxel (0, 0, 0) along each axis, fewer than a
+    /// piece has. Not 0 where the volume is cut out of a larger one.
+    fn chunk_start(&self) -> [u64; 3] {
+        [0; 3]
     }
 
     /// The value, as the bytes of one voxel (the first of the eight), that all voxels of `region`
@@ -186,7 +191,8 @@ impl InOrder {
     /// where those are too large.
     fn end_of_layer(&self, z: u64, thickness: u64) -> u64 {
         let most = (LAYER_BYTES / self.plane_bytes.max(1)).max(1);
-        let end = (z / thickness + 1).saturating_mul(thickness);
+        let before = self.voxels.chunk_start()[2];
+        let end = ((z + before) / thickness + 1).saturating_mul(thickness) - before;
         end.min(z + most).min(self.dims[2])
     }
 }

@@ -325,7 +325,7 @@ fn mistakes_are_named_with_their_place() {
     let mut nifti = vec![0; 400];
     nifti[..4].copy_from_slice(&348i32.to_le_bytes());
     for name in ["a.stl", "a.nii"] {
-        error(&nifti, name, &["not a mesh", "looks like nifti1"]);
+        error(&nifti, name, &["not a mesh", "looks like analyze"]);
     }
     error(b"PAR1.......", "a.obj", &["not a mesh", "Parquet"]);
     // A short magic number may begin the free text of an STL.

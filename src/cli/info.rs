@@ -119,7 +119,16 @@ fn of_volume(volume: &Volume, values: Option<&Values>) -> Fields {
         ("kind", json!("volume")),
         ("name", json!(source.name)),
         ("format", json!(header.format.name())),
+        ("content", json!(header.content.name())),
         ("dims", json!(header.dims)),
+        (
+            "first_index",
+            if header.first_index == [0; 3] {
+                Value::Null
+            } else {
+                json!(header.first_index)
+            },
+        ),
         ("dtype", json!(header.dtype().to_string())),
         ("spacing", json!(header.spacing)),
         ("unit", json!(header.unit.to_string())),
@@ -133,6 +142,18 @@ fn of_volume(volume: &Volume, values: Option<&Values>) -> Fields {
         ("access", json!(access)),
         ("file_bytes", json!(source.length_bytes)),
         ("voxels_bytes", json!(header.voxels_bytes())),
+        ("copied_bytes", positive(source.spilled_bytes)),
+        ("held_bytes", positive(source.held_bytes)),
+        (
+            "details",
+            Value::Object(
+                header
+                    .details
+                    .iter()
+                    .map(|(name, value)| ((*name).to_owned(), json!(value)))
+                    .collect(),
+            ),
+        ),
         ("warnings", json!(header.warnings)),
     ];
     if let Some(values) = values {
@@ -146,6 +167,11 @@ fn of_volume(volume: &Volume, values: Option<&Values>) -> Fields {
         ]);
     }
     told
+}
+
+/// Nothing for 0.
+fn positive(n: u64) -> Value {
+    if n == 0 { Value::Null } else { json!(n) }
 }
 
 fn of_mesh(name: &str, mesh: &Mesh) -> Fields {

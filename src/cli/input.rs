@@ -7,14 +7,15 @@ use anyhow::Result;
 use clap::{Args, ValueEnum};
 use curvox_formats::mesh::{MeshFormat, recognise_mesh};
 use curvox_formats::{
-    DType, Format, IoMode, OpenOptions, RawLayout, Unit, Volume, VoxelType, open, open_stream,
+    Content, DType, Format, Header, IoMode, OpenOptions, RawLayout, Unit, Volume, VoxelType, open,
+    open_stream,
 };
 
 use crate::lattice::{Lattice, LatticeError};
 use crate::volume::{Criterion, Number};
 
 use super::exit::{BadInput, usage};
-use super::lengths::{self, Spacing};
+use super::lengths::{self, IndexBox, Spacing};
 
 /// Standard input on the command line.
 pub(crate) const STDIN: &str = "-";
@@ -22,14 +23,14 @@ pub(crate) const STDIN: &str = "-";
 /// Options of the input.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct InputArgs {
-    /// Volume to read: a file, or - for standard input
+    /// Volume to read: a file, a folder, or - for standard input
     ///
-    /// NIfTI (.nii, .nii.gz, .hdr/.img), NumPy (.npy), DGtal (.vol, .longvol), raw; gzip and zstd are
-    /// undone on the way. The format is recognised by the content, not the name.
+    /// The format is recognised by the content, not the name; `curvox formats` lists what is read.
+    /// Compression of the whole file (gzip, zstd) is undone on the way.
     #[arg(value_name = "INPUT")]
     pub(crate) input: PathBuf,
 
-    /// Format, instead of recognising it: raw, npy, vol, longvol, nifti1, nifti2
+    /// Format, instead of recognising it: a name out of `curvox formats`
     #[arg(long, value_name = "FORMAT", help_heading = "Input")]
     format: Option<Format>,
 
@@ -54,9 +55,38 @@ pub(crate) struct InputArgs {
     )]
     spacing: Option<Spacing>,
 
-    /// Which volume of a file with several, from 0
+    /// Which volume of a file with several, a point in time mostly, from 0
     #[arg(long, value_name = "N", help_heading = "Input")]
     frame: Option<u64>,
+
+    /// Which channel of a file with several, from 0
+    #[arg(long, value_name = "N", help_heading = "Input")]
+    channel: Option<u64>,
+
+    /// Which array, grid, series or member of a file with several: its name, path or number
+    ///
+    /// A file that holds several lists them when none is chosen.
+    #[arg(long, value_name = "NAME", help_heading = "Input")]
+    dataset: Option<String>,
+
+    /// Which level of a pyramid, from 0, the finest
+    #[arg(long, value_name = "N", help_heading = "Input")]
+    level: Option<u32>,
+
+    /// Only these voxels, in the indices of the file; the end is not included: 0:64,10:74,-5:20
+    #[arg(long, value_name = "X0:X1,Y0:Y1,Z0:Z1", value_parser = lengths::region, allow_hyphen_values = true, help_heading = "Input")]
+    region: Option<IndexBox>,
+
+    /// Let a header name files outside its own folder
+    #[arg(long, help_heading = "Input")]
+    allow_outside: bool,
+
+    /// Folder for a copy of an input that can only be read front to back, where its format needs
+    /// another order and memory does not hold it
+    ///
+    /// The copy has no name and vanishes with the program.
+    #[arg(long, value_name = "DIR", help_heading = "Input")]
+    spill: Option<PathBuf>,
 
     /// How a plain file is read: map (mapped), read (at offsets), auto (read on network file systems)
     #[arg(long, value_enum, default_value = "auto", help_heading = "Input")]
@@ -118,6 +148,12 @@ impl InputArgs {
                 Io::Auto => IoMode::Auto,
             },
             frame: self.frame,
+            channel: self.channel,
+            dataset: self.dataset.clone(),
+            level: self.level,
+            region: self.region.clone().map(|IndexBox(ranges)| ranges),
+            outside: self.allow_outside,
+            spill: self.spill.clone(),
             ..OpenOptions::default()
         })
     }
@@ -224,8 +260,8 @@ impl CriterionArgs {
     /// The criterion asked for.
     ///
     /// # Errors
-    /// If there is none and the voxels are not `bool`.
-    pub(crate) fn inside(&self, voxel: VoxelType, input: &InputArgs) -> Result<Inside> {
+    /// If there is none and the file does not say itself what is inside.
+    pub(crate) fn inside(&self, header: &Header, input: &InputArgs) -> Result<Inside> {
         let given = self
             .threshold
             .map(Criterion::AtLeast)
@@ -235,7 +271,10 @@ impl CriterionArgs {
         match given {
             Some(criterion) => Ok(Inside::Given(criterion)),
             None if self.otsu => Ok(Inside::Otsu),
-            None if voxel == VoxelType::Bool => {
+            None if header.content == Content::LevelSet => {
+                Ok(Inside::Given(Criterion::Below(Number::from(0))))
+            }
+            None if header.voxel == VoxelType::Bool || header.content == Content::Mask => {
                 Ok(Inside::Given(Criterion::AtLeast(Number::from(1))))
             }
             None => {

@@ -74,7 +74,7 @@ impl JobArgs {
         let lattice = input::lattice(&volume, self.method.closed)?;
         // Mistakes of the command line are found before a long pass over the data.
         let method = self.method.resolve(&lattice, volume.header.unit)?;
-        let inside = self.criterion.inside(volume.header.voxel, &self.input)?;
+        let inside = self.criterion.inside(&volume.header, &self.input)?;
         let by_label = matches!(inside, Inside::Given(Criterion::Label(_)));
         if by_label && matches!(method.estimator, Estimator::Gradient { .. }) {
             return Err(usage(

@@ -4,6 +4,7 @@
 //! error, because it could mean voxels or world units, and the result would be wrong by the ratio.
 
 use std::fmt;
+use std::ops::Range;
 use std::str::FromStr;
 
 use curvox_formats::Unit;
@@ -216,9 +217,50 @@ pub(crate) fn dims(text: &str) -> Result<[u64; 3], Usage> {
     }
 }
 
+/// A box of voxels in the indices of a file; ends are not included.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct IndexBox(pub(crate) [Range<i64>; 3]);
+
+/// A box `X0:X1,Y0:Y1,Z0:Z1`.
+pub(crate) fn region(text: &str) -> Result<IndexBox, Usage> {
+    let ranges: Vec<Range<i64>> = text
+        .split(',')
+        .map_while(|range| {
+            let (start, end) = range.split_once(':')?;
+            let (start, end) = (start.trim().parse().ok()?, end.trim().parse().ok()?);
+            (start < end).then_some(start..end)
+        })
+        .collect();
+    match <[Range<i64>; 3]>::try_from(ranges) {
+        Ok(ranges) if text.split(',').count() == 3 => Ok(IndexBox(ranges)),
+        _ => Err(Usage(format!(
+            "'{text}' is not a box X0:X1,Y0:Y1,Z0:Z1 with each start below its end, as in \
+             0:512,100:300,20:80"
+        ))),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_region_is_three_ranges_that_are_not_empty() {
+        assert_eq!(
+            region("0:64, 10:74,-5:20").unwrap(),
+            IndexBox([0..64, 10..74, -5..20])
+        );
+        for wrong in [
+            "",
+            "0:1,0:1",
+            "0:1,0:1,0:1,0:1",
+            "0:1,0:1,1:1",
+            "0:1,a:2,0:1",
+            "1,2,3",
+        ] {
+            assert!(region(wrong).is_err(), "{wrong}");
+        }
+    }
 
     fn length(text: &str) -> Length {
         text.parse().unwrap()

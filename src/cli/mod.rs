@@ -7,6 +7,7 @@
 
 mod conventions;
 mod exit;
+mod formats;
 mod generate;
 mod info;
 mod input;
@@ -88,6 +89,9 @@ enum Command {
         after_long_help = mesh::long_help()
     )]
     Mesh(Box<mesh::MeshArgs>),
+    /// List the formats that are read, and what of each
+    #[command(after_help = conventions::EXIT_HELP)]
+    Formats(formats::FormatsArgs),
     /// Print completions for a shell
     Completions(generate::CompletionsArgs),
     /// Print the manual, or write its pages
@@ -145,6 +149,7 @@ impl Command {
             Command::Run(args) => args.job.output.json,
             Command::Plan(args) => args.job.output.json,
             Command::Info(args) => args.json,
+            Command::Formats(args) => args.json,
             Command::Mesh(args) => args.json,
             Command::Noise(_) | Command::Shape(_) | Command::Completions(_) | Command::Man(_) => {
                 false
@@ -157,6 +162,7 @@ impl Command {
             Command::Run(args) => run::run(args, verbose, stop),
             Command::Plan(args) => plan::run(args, stop),
             Command::Info(args) => info::run(args, stop),
+            Command::Formats(args) => formats::run(args),
             Command::Noise(args) => noise::run(args, stop),
             Command::Shape(args) => shape::run(args, stop),
             Command::Mesh(args) => mesh::run(args, verbose, stop),

@@ -52,7 +52,7 @@ pub(crate) fn run(args: &NoiseArgs, stop: &AtomicBool) -> Result<()> {
     // Extents that the rest could not hold are refused here.
     let dims = input::lattice(&volume, false)?.dims.map(|n| n as usize);
     refuse_input_as_output(volume.source.path.as_deref(), args.output.file())?;
-    let criterion = match args.criterion.inside(volume.header.voxel, &args.input)? {
+    let criterion = match args.criterion.inside(&volume.header, &args.input)? {
         Inside::Given(criterion) => criterion,
         Inside::Otsu => Criterion::AtLeast(Number::from(values::otsu(&args.input, &volume, stop)?)),
     };

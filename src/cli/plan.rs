@@ -166,6 +166,8 @@ fn as_json(job: &Job, surfels: Option<u64>, target: Option<&Target>) -> Value {
             "unit": job.info.unit,
             "mapped": job.volume.source.mapped,
             "compressed": job.volume.source.compressed,
+            "held_bytes": job.volume.source.held_bytes,
+            "copied_bytes": job.volume.source.spilled_bytes,
         },
         "parameters": job.info.parameters,
         "radii": job.info.radii,
@@ -208,6 +210,13 @@ fn write_text(
         header.format,
         header.dtype()
     )?;
+    if source.spilled_bytes > 0 {
+        writeln!(
+            out,
+            "copy       {} on disk, for the format is not read front to back",
+            sizes::show(source.spilled_bytes)
+        )?;
+    }
     writeln!(out, "voxels     {x} x {y} x {z} = {}", sizes::count(voxels))?;
     let [sx, sy, sz] = job.info.spacing;
     writeln!(out, "voxel      {sx} x {sy} x {sz} {}", job.info.unit)?;
@@ -264,7 +273,7 @@ fn write_text(
     )?;
     let index_bytes = plan.index_bytes().unwrap_or(0);
     for (what, bytes) in [
-        ("program and sinks", plan.fixed_bytes),
+        ("program, reader, sinks", plan.fixed_bytes),
         ("read buffer", plan.read_bytes),
         (
             if index_bytes > 0 {
@@ -282,7 +291,7 @@ fn write_text(
         if bytes == 0 && matches!(what, "grey values" | "indices") {
             continue;
         }
-        writeln!(out, "             {what:<20} {:>12}", sizes::show(bytes))?;
+        writeln!(out, "             {what:<22} {:>12}", sizes::show(bytes))?;
     }
     writeln!(
         out,

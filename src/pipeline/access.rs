@@ -13,8 +13,7 @@ use std::ops::Range;
 use curvox_formats::{RandomVoxels, Region, Volume, Voxels};
 
 use crate::sink::{PART_EDGE, PART_PLANES};
-use crate::volume::TileMap;
-use crate::volume::tiles::{band_rows, layer_end, tiled_planes};
+use crate::volume::{PieceGrid, TileMap};
 
 /// Pieces along an axis that are asked for a first impression of a volume.
 const SAMPLES: u64 = 8;
@@ -29,7 +28,7 @@ pub struct Access {
     /// Memory that the reader holds as long as it is open.
     pub held_bytes: u64,
     /// The pieces in which voxels are decoded, if the volume can be read anywhere.
-    pub chunk: Option<[u64; 3]>,
+    pub pieces: Option<PieceGrid>,
     /// What is to be read, where most of the volume is known to be uniform.
     pub sparse: Option<Sparse>,
 }
@@ -65,7 +64,7 @@ impl Access {
             voxel_bytes,
             buffered: true,
             held_bytes: 0,
-            chunk: None,
+            pieces: None,
             sparse: None,
         }
     }
@@ -81,40 +80,42 @@ impl Access {
             };
         };
         let dims = volume.header.dims;
-        let chunk = voxels.chunk().map(|chunk| chunk.map(|n| n.max(1)));
+        let pieces = PieceGrid::of(voxels.as_ref());
         Self {
             voxel_bytes,
             buffered: !volume.source.mapped,
             held_bytes: volume.source.held_bytes,
-            chunk,
-            sparse: chunk.and_then(|chunk| Sparse::of(voxels.as_ref(), dims, chunk)),
+            pieces,
+            sparse: pieces.and_then(|pieces| Sparse::of(voxels.as_ref(), dims, &pieces)),
         }
     }
 }
 
 impl Sparse {
     /// What is to be read, if at most half of the volume need be kept.
-    fn of(voxels: &dyn RandomVoxels, dims: [u64; 3], chunk: [u64; 3]) -> Option<Self> {
-        if !seems_sparse(voxels, dims, chunk) {
+    fn of(voxels: &dyn RandomVoxels, dims: [u64; 3], pieces: &PieceGrid) -> Option<Self> {
+        if !seems_sparse(voxels, dims, pieces.shape) {
             return None;
         }
         let [x, y, depth] = dims;
-        let plane = [u32::try_from(x).ok()?, u32::try_from(y).ok()?];
-        let band = band_rows(chunk, dims);
-        let layer_planes = tiled_planes(chunk);
+        let [Ok(nx), Ok(ny), Ok(nz)] = dims.map(u32::try_from) else {
+            return None;
+        };
+        let band = pieces.band_rows(dims);
+        let layer_planes = pieces.tiled_planes();
         let mut sparse = Self {
             layer_planes,
             layers: Vec::new(),
             tiles: 0,
             columns: 1,
         };
-        let mut columns = Columns::new(plane);
+        let mut columns = Columns::new([nx, ny]);
         let (mut z, mut kept_rows) = (0, 0u128);
         while z < depth {
-            let end = layer_end(z, layer_planes, chunk, depth);
+            let end = pieces.step_end(2, z, layer_planes).min(depth);
             let map = TileMap::find(
-                plane,
-                u32::try_from(band).ok()?,
+                [nx, ny, nz],
+                pieces,
                 z..end,
                 |region| voxels.uniform(region),
                 |_| false,

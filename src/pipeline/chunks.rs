@@ -10,8 +10,7 @@
 
 use serde::Serialize;
 
-use crate::volume::TILE_WIDTH;
-use crate::volume::tiles::band_rows;
+use crate::volume::{PieceGrid, TILE_WIDTH};
 
 use super::access::{Access, Sparse};
 
@@ -24,6 +23,9 @@ const BOX_BYTES: u64 = 4 << 20;
 pub struct ChunkPlan {
     /// Shape of the pieces in which voxels are decoded.
     pub shape: [u64; 3],
+    /// The same, and where they begin.
+    #[serde(skip)]
+    pub pieces: PieceGrid,
     /// How often each piece is decoded.
     pub decoded_times: u64,
     /// Planes read before they are handed on.
@@ -54,7 +56,7 @@ impl ChunkPlan {
     /// The plan for layers of some planes.
     pub(super) fn new(
         access: &Access,
-        shape: [u64; 3],
+        pieces: PieceGrid,
         dims: [u64; 3],
         layer_planes: u64,
         threads: usize,
@@ -64,7 +66,8 @@ impl ChunkPlan {
             let voxels = extents.into_iter().fold(1, u64::saturating_mul);
             voxels.saturating_mul(access.voxel_bytes)
         };
-        let band_rows = band_rows(shape, dims);
+        let shape = pieces.shape;
+        let band_rows = pieces.band_rows(dims);
         let thickness = if access.sparse.is_some() {
             layer_planes
         } else {
@@ -72,8 +75,8 @@ impl ChunkPlan {
         };
         let of_box =
             |columns: u64| product([columns.min(dims[0]), band_rows, thickness.min(dims[2])]);
-        let pieces = (BOX_BYTES / of_box(shape[0]).max(1)).clamp(1, dims[0].div_ceil(shape[0]));
-        let box_columns = pieces.saturating_mul(shape[0]);
+        let across = (BOX_BYTES / of_box(shape[0]).max(1)).clamp(1, dims[0].div_ceil(shape[0]));
+        let box_columns = across.saturating_mul(shape[0]);
         // A piece beside the box: as it is stored, which is hardly more, and as it is decoded.
         let task_bytes = of_box(box_columns).saturating_add(product(shape).saturating_mul(2));
         let readers = (memory_bytes / 8 / task_bytes.max(1)).clamp(1, threads as u64);
@@ -81,6 +84,7 @@ impl ChunkPlan {
             box_bytes: readers.saturating_mul(task_bytes),
             plan: Self {
                 shape,
+                pieces,
                 decoded_times: shape[2].min(dims[2]).div_ceil(layer_planes).max(1),
                 layer_planes,
                 band_rows,
@@ -95,11 +99,11 @@ impl ChunkPlan {
     /// Thicknesses of layers that may be tried, the best first.
     pub(super) fn heights(
         access: &Access,
-        shape: [u64; 3],
+        pieces: PieceGrid,
         depth: u64,
         read_planes: u64,
     ) -> impl Iterator<Item = u64> {
-        let piece = shape[2].min(depth);
+        let piece = pieces.shape[2].min(depth);
         let best = match &access.sparse {
             Some(sparse) => sparse.layer_planes,
             // Several layers of thin pieces at a time, as planes would be read.

@@ -23,7 +23,6 @@ use curvox_formats::{Header, RandomVoxels, Region};
 use rayon::prelude::*;
 
 use crate::error::Error;
-use crate::volume::tiles::layer_end;
 use crate::volume::{Binarizer, BitPlane, GreyPlane, TILE_WIDTH, TileMap};
 
 use super::chunks::ChunkPlan;
@@ -57,8 +56,15 @@ struct Task<'a> {
     words: Vec<&'a mut [u64]>,
     /// The same as stored, or none.
     stored: Vec<&'a mut [u8]>,
-    /// Rows of a tile, if planes are in tiles.
-    tile_rows: Option<usize>,
+    tiles: Option<Tiles>,
+}
+
+/// The tiles of a band, if planes are in tiles.
+#[derive(Clone, Copy)]
+struct Tiles {
+    rows: usize,
+    /// The row of a tile that the first row of the band is: not 0 where it begins before the volume.
+    first_row: usize,
 }
 
 /// Buffers of a worker.
@@ -89,7 +95,11 @@ impl<'a> LayerReader<'a> {
     /// The layer that begins at plane `z`, and how many voxels are not a number.
     pub(super) fn read(&mut self, z: u64) -> Result<(Vec<Plane>, u64), Error> {
         let depth = self.header.dims[2];
-        let end = layer_end(z, self.plan.layer_planes, self.plan.shape, depth);
+        let end = self
+            .plan
+            .pieces
+            .step_end(2, z, self.plan.layer_planes)
+            .min(depth);
         if self.plan.tiles.is_some() {
             self.read_tiles(z..end)
         } else {
@@ -117,33 +127,40 @@ impl<'a> LayerReader<'a> {
             row_words * dims_y as usize,
             dims_x as usize * dims_y as usize,
         );
-        let band = self.plan.band_rows as usize;
-        let thickness = self.plan.shape[2].min(z.end - z.start) as usize;
+        let pieces = &self.plan.pieces;
         let mut tasks = Vec::new();
-        let mut stored = filling.stored.chunks_mut(thickness);
-        for (i, words) in filling.words.chunks_mut(thickness).enumerate() {
-            let from = z.start + (i * thickness) as u64;
-            let planes = from..from + words.len() as u64;
-            let mut words: Vec<_> = words
-                .iter_mut()
-                .map(|plane| plane.chunks_mut(band * row_words))
-                .collect();
-            let mut stored: Vec<_> = stored
-                .next()
-                .into_iter()
-                .flatten()
-                .map(|plane| plane.chunks_mut(band * row_bytes))
-                .collect();
-            for y in (0..u64::from(dims_y)).step_by(band) {
+        let mut words: Vec<_> = filling.words.iter_mut().map(|p| &mut p[..]).collect();
+        let mut stored: Vec<_> = filling.stored.iter_mut().map(|p| &mut p[..]).collect();
+        let (mut words, mut stored) = (&mut words[..], &mut stored[..]);
+        let mut from = z.start;
+        while from < z.end {
+            let to = pieces.step_end(2, from, pieces.shape[2]).min(z.end);
+            let words = take(&mut words, (to - from) as usize);
+            let count = stored.len().min(words.len());
+            let stored = take(&mut stored, count);
+            let mut y = 0;
+            while y < u64::from(dims_y) {
+                let end = pieces
+                    .step_end(1, y, self.plan.band_rows)
+                    .min(dims_y.into());
+                let rows = (end - y) as usize;
                 tasks.push(Task {
-                    z: planes.clone(),
-                    rows: y..(y + band as u64).min(dims_y.into()),
+                    z: from..to,
+                    rows: y..end,
                     columns: vec![0..dims_x],
-                    words: words.iter_mut().filter_map(Iterator::next).collect(),
-                    stored: stored.iter_mut().filter_map(Iterator::next).collect(),
-                    tile_rows: None,
+                    words: words
+                        .iter_mut()
+                        .map(|p| take(p, rows * row_words))
+                        .collect(),
+                    stored: stored
+                        .iter_mut()
+                        .map(|p| take(p, rows * row_bytes))
+                        .collect(),
+                    tiles: None,
                 });
+                y = end;
             }
+            from = to;
         }
         let nan = self.run(tasks, &z)?;
         let mut stored = filling.stored.into_iter();
@@ -156,12 +173,10 @@ impl<'a> LayerReader<'a> {
 
     /// The tiles in which voxels can differ.
     fn read_tiles(&mut self, z: Range<u64>) -> Result<(Vec<Plane>, u64), Error> {
-        let [dims_x, dims_y, _] = self.shared.lattice.dims;
         let voxel_bytes = self.header.voxel.bytes();
-        let band = self.plan.band_rows as u32;
         let map = TileMap::find(
-            [dims_x, dims_y],
-            band,
+            self.shared.lattice.dims,
+            &self.plan.pieces,
             z.clone(),
             |region| {
                 let mut value = self.voxels.uniform(region)?;
@@ -205,7 +220,10 @@ impl<'a> LayerReader<'a> {
                     .iter_mut()
                     .map(|plane| take(plane, rows * TILE_WIDTH as usize * voxel_bytes))
                     .collect(),
-                tile_rows: Some(map.band()),
+                tiles: Some(Tiles {
+                    rows: map.band(),
+                    first_row: map.row_in_tile(kept.rows.start as usize),
+                }),
             });
         }
         let read = self.run(tasks, &z)?;
@@ -287,7 +305,7 @@ impl<'a> LayerReader<'a> {
                     return Err(Error::Stopped);
                 }
                 let wide = self.plan.box_columns;
-                let end = (x / wide + 1).saturating_mul(wide).min(columns.end);
+                let end = self.plan.pieces.step_end(0, x, wide).min(columns.end);
                 let rows = task.rows.end - task.rows.start;
                 let region = Region {
                     origin: [x, task.rows.start, task.z.start],
@@ -326,19 +344,20 @@ impl<'a> LayerReader<'a> {
         let dims_x = self.shared.lattice.dims[0] as usize;
         let out = &mut *task.words[plane];
         if let Some(values) = task.stored.get_mut(plane) {
-            match task.tile_rows {
+            match task.tiles {
                 None => {
                     let at = (row * dims_x + place.x) * voxel_bytes;
                     values[at..at + stored.len()].copy_from_slice(stored);
                 }
-                Some(band) => {
+                Some(tiles) => {
+                    let row = tiles.first_row + row;
                     let tile_bytes = TILE_WIDTH as usize * voxel_bytes;
                     let mut rest = stored;
                     let (mut tile, mut x) = (first - place.first_word, shift);
                     while !rest.is_empty() {
                         let part = rest.len().min((TILE_WIDTH as usize - x) * voxel_bytes);
                         let (now, later) = rest.split_at(part);
-                        let at = (tile * band + row) * tile_bytes + x * voxel_bytes;
+                        let at = (tile * tiles.rows + row) * tile_bytes + x * voxel_bytes;
                         values[at..at + part].copy_from_slice(now);
                         (rest, tile, x) = (later, tile + 1, 0);
                     }
@@ -346,7 +365,7 @@ impl<'a> LayerReader<'a> {
             }
         }
         let row_words = dims_x.div_ceil(64);
-        if shift == 0 && task.tile_rows.is_none() {
+        if shift == 0 && task.tiles.is_none() {
             let out = &mut out[row * row_words + first..][..count];
             return self.binarizer.pack_row(stored, out);
         }
@@ -355,9 +374,9 @@ impl<'a> LayerReader<'a> {
         let nan = self.binarizer.pack_row(stored, words);
         let mut or = |word: usize, bits: u64| {
             if bits != 0 {
-                out[match task.tile_rows {
+                out[match task.tiles {
                     None => row * row_words + word,
-                    Some(band) => (word - place.first_word) * band + row,
+                    Some(tiles) => (word - place.first_word) * tiles.rows + tiles.first_row + row,
                 }] |= bits;
             }
         };

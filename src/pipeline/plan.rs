@@ -289,11 +289,11 @@ impl Plan {
             0
         };
         // The first layer that takes a third of the memory at most, or the thinnest.
-        let reading = access.chunk.and_then(|shape| {
+        let reading = access.pieces.and_then(|pieces| {
             let planes =
-                |n: u64| ChunkPlan::new(access, shape, [x, y, z], n, request.threads, after_fixed);
+                |n: u64| ChunkPlan::new(access, pieces, [x, y, z], n, request.threads, after_fixed);
             let mut last = None;
-            for height in ChunkPlan::heights(access, shape, z, read_planes) {
+            for height in ChunkPlan::heights(access, pieces, z, read_planes) {
                 let reading = planes(height);
                 let layer = height.min(z).saturating_mul(plane_bits + grey_plane);
                 let fits = layer.saturating_add(reading.box_bytes) <= after_fixed / 3;

@@ -70,7 +70,7 @@ impl BitPlane {
             }
             Held::Tiles { map, words: kept } => {
                 buffer.clear();
-                let band = map.band();
+                let (band, row) = (map.band(), map.row_in_tile(y));
                 for (tiles, content) in map.row(y as u32, words.start as u32..words.end as u32) {
                     match content {
                         Content::Uniform { inside: false, .. } => {
@@ -81,7 +81,7 @@ impl BitPlane {
                         }
                         Content::Tiles(first) => buffer.extend(
                             (first as usize..first as usize + tiles.len())
-                                .map(|tile| kept[tile * band + y % band]),
+                                .map(|tile| kept[tile * band + row]),
                         ),
                     }
                 }

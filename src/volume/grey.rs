@@ -132,7 +132,7 @@ impl GreyWindow {
                                 part.fill(part[0]);
                             }
                             Content::Tiles(first) => {
-                                let row = (first as usize + i) * band + y % band;
+                                let row = (first as usize + i) * band + map.row_in_tile(y);
                                 let at = (row * width + x.start - start) * bytes;
                                 self.values.decode(&kept[at..at + part.len() * bytes], part);
                             }

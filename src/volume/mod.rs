@@ -14,10 +14,10 @@ mod criterion;
 mod euler;
 mod grey;
 pub mod otsu;
-pub mod tiles;
+mod tiles;
 
 pub use bits::{BitBox, BitPlane, PlaneWindow};
 pub use criterion::{Binarizer, Criterion, CriterionError, Number};
 pub use euler::SolidCounts;
 pub use grey::{GreyBox, GreyPlane, GreyWindow, ValueType};
-pub use tiles::{TILE_WIDTH, TileMap};
+pub use tiles::{BandTiles, PieceGrid, TILE_WIDTH, TileMap};

@@ -24,7 +24,7 @@ use curvox_formats::{
 use half::f16;
 use rayon::prelude::*;
 
-use super::tiles::{TileMap, band_rows, layer_end, tiled_planes};
+use super::tiles::{PieceGrid, TileMap};
 
 /// Bins of values that are not counted one by one. Fewer make the threshold coarse where a few
 /// outliers stretch the range.
@@ -267,9 +267,9 @@ fn scan(volume: Volume, bins: Option<&mut Bins>, stop: &AtomicBool) -> Result<Ra
         range: Range::default(),
     };
     if let Voxels::Random(voxels) = &volume.voxels
-        && let Some(piece) = voxels.chunk()
+        && let Some(pieces) = PieceGrid::of(voxels.as_ref())
     {
-        scan.pieces(voxels.as_ref(), piece.map(|n| n.max(1)), stopped)?;
+        scan.pieces(voxels.as_ref(), &pieces, stopped)?;
         voxels.check()?;
         return Ok(scan.range);
     }
@@ -321,32 +321,32 @@ impl Scan<'_> {
     fn pieces(
         &mut self,
         voxels: &dyn RandomVoxels,
-        piece: [u64; 3],
+        pieces: &PieceGrid,
         stopped: impl Fn() -> Result<(), Error>,
     ) -> Result<(), Error> {
         /// Boxes at once; each holds its own counts.
         const BOXES: usize = 64;
         let dims = self.header.dims;
         let voxel_bytes = self.header.voxel.bytes() as u64;
-        let extents = dims.map(u32::try_from);
-        let [Ok(x), Ok(y), Ok(_)] = extents else {
+        let [Ok(x), Ok(y), Ok(depth)] = dims.map(u32::try_from) else {
             return Err(Error::unsupported(
                 "the image",
                 "an extent beyond 2^32 voxels",
             ));
         };
-        let band = band_rows(piece, dims);
+        let band = pieces.band_rows(dims);
+        let piece = pieces.shape;
         // Large thin pieces, such as slices, are not read several at a time.
         let narrowest = band.saturating_mul(piece[0].min(dims[0])) * voxel_bytes;
-        let planes = match tiled_planes(piece) {
+        let planes = match pieces.tiled_planes() {
             planes if narrowest.saturating_mul(planes) > READ_BYTES => planes.min(piece[2]),
             planes => planes,
         };
         let mut z = 0;
         while z < dims[2] {
-            let end = layer_end(z, planes, piece, dims[2]);
+            let end = pieces.step_end(2, z, planes).min(dims[2]);
             let uniform = |region: &Region| voxels.uniform(region);
-            let map = TileMap::find([x, y], band as u32, z..end, uniform, |_| false);
+            let map = TileMap::find([x, y, depth], pieces, z..end, uniform, |_| false);
             for (count, value) in map.uniform() {
                 let header = self.header.clone();
                 for_each_value(&header, &value[..voxel_bytes as usize], |value| {
@@ -368,8 +368,7 @@ impl Scan<'_> {
                 for columns in kept.columns {
                     let mut from = u64::from(columns.start);
                     while from < columns.end.into() {
-                        let to = (from / wide + 1).saturating_mul(wide);
-                        let to = to.min(columns.end.into());
+                        let to = pieces.step_end(0, from, wide).min(columns.end.into());
                         let rows = u64::from(kept.rows.start)..u64::from(kept.rows.end);
                         boxes.push(Region {
                             origin: [from, rows.start, z],

@@ -18,7 +18,7 @@
 
 use std::ops::Range;
 
-use curvox_formats::Region;
+use curvox_formats::{RandomVoxels, Region};
 
 /// Voxels of a tile along x: a word of bits.
 pub const TILE_WIDTH: u32 = 64;
@@ -30,32 +30,61 @@ const BAND_ROWS: u64 = 64;
 /// in which voxels differ; thinner ones ask the source more often.
 const TILED_PLANES: Range<u64> = 16..128;
 
-/// Rows of a band of a volume that is decoded in pieces: bands end where pieces do.
-#[must_use]
-pub fn band_rows(piece: [u64; 3], dims: [u64; 3]) -> u64 {
-    (piece[1].saturating_mul(BAND_ROWS.div_ceil(piece[1]))).min(dims[1])
+/// The pieces in which a volume is decoded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PieceGrid {
+    /// Extents of a piece.
+    pub shape: [u64; 3],
+    /// Voxels of the first piece that lie before the volume.
+    pub before: [u64; 3],
 }
 
-/// Planes of a layer in tiles of a volume that is decoded in pieces.
-#[must_use]
-pub fn tiled_planes(piece: [u64; 3]) -> u64 {
-    if piece[2] < TILED_PLANES.start {
-        piece[2] * TILED_PLANES.start.div_ceil(piece[2])
-    } else {
-        piece[2].min(TILED_PLANES.end)
+impl PieceGrid {
+    /// The pieces of a source, if it has any.
+    #[must_use]
+    pub fn of(voxels: &dyn RandomVoxels) -> Option<Self> {
+        let shape = voxels.chunk()?.map(|n| n.max(1));
+        let before = voxels.chunk_start();
+        Some(Self {
+            shape,
+            before: [0, 1, 2].map(|a| before[a] % shape[a]),
+        })
     }
-}
 
-/// Where the layer of at most `planes` planes that begins at `z` ends: where pieces do, if it can.
-#[must_use]
-pub fn layer_end(z: u64, planes: u64, piece: [u64; 3], depth: u64) -> u64 {
-    let piece = piece[2];
-    let end = if planes >= piece {
-        (z / piece + planes / piece) * piece
-    } else {
-        (z + planes).min((z / piece + 1).saturating_mul(piece))
-    };
-    end.min(depth)
+    /// Rows of a band, which ends where pieces do. The first band may have fewer, those that
+    /// lie before the volume.
+    #[must_use]
+    pub fn band_rows(&self, dims: [u64; 3]) -> u64 {
+        let rows = self.shape[1].saturating_mul(BAND_ROWS.div_ceil(self.shape[1]));
+        rows.min(dims[1] + self.before[1])
+    }
+
+    /// Planes of a layer in tiles.
+    #[must_use]
+    pub fn tiled_planes(&self) -> u64 {
+        let thickness = self.shape[2];
+        if thickness < TILED_PLANES.start {
+            thickness * TILED_PLANES.start.div_ceil(thickness)
+        } else {
+            thickness.min(TILED_PLANES.end)
+        }
+    }
+
+    /// Where the step of at most `most` voxels along an axis that begins at `from` ends: where
+    /// pieces do, if it can.
+    #[must_use]
+    pub fn step_end(&self, axis: usize, from: u64, most: u64) -> u64 {
+        let (piece, before) = (self.shape[axis], self.before[axis]);
+        let from = from + before;
+        let end = if most >= piece {
+            (from / piece)
+                .saturating_add(most / piece)
+                .saturating_mul(piece)
+        } else {
+            (from + most).min((from / piece + 1).saturating_mul(piece))
+        };
+        end - before
+    }
 }
 
 /// What a run of tiles holds.
@@ -92,6 +121,8 @@ pub struct TileMap {
     dims: [u32; 2],
     /// Rows of a band.
     band: u32,
+    /// Rows of the first band that lie before the volume.
+    before: u32,
     bands: Vec<Bands>,
     runs: Vec<Run>,
     tiles: u32,
@@ -113,22 +144,28 @@ impl TileMap {
     /// that is known; `inside` tells whether a value is inside.
     #[must_use]
     pub fn find(
-        dims: [u32; 2],
-        band: u32,
+        dims: [u32; 3],
+        pieces: &PieceGrid,
         z: Range<u64>,
         uniform: impl Fn(&Region) -> Option<[u8; 8]>,
         inside: impl Fn([u8; 8]) -> bool,
     ) -> Self {
+        // Extents fit 32 bits, and a piece that is longer counts as far as the volume goes.
+        let band = pieces.band_rows(dims.map(u64::from)) as u32;
+        let before = pieces.before[1] as u32;
+        let dims = [dims[0], dims[1]];
         let mut map = Self {
             dims,
             band,
+            before,
             bands: Vec::new(),
             runs: Vec::new(),
             tiles: 0,
         };
         let content = |x: Range<u32>, bands: Range<u32>| {
-            let lo = [x.start * TILE_WIDTH, bands.start * band];
-            let hi = [x.end * TILE_WIDTH, bands.end * band];
+            let row = |band_number: u32| (band_number * band).saturating_sub(before);
+            let lo = [x.start * TILE_WIDTH, row(bands.start)];
+            let hi = [x.end * TILE_WIDTH, row(bands.end)];
             let size = [0, 1].map(|a| u64::from(hi[a].min(dims[a]) - lo[a]));
             let region = Region {
                 origin: [lo[0].into(), lo[1].into(), z.start],
@@ -139,7 +176,7 @@ impl TileMap {
                 inside: inside(value),
             })
         };
-        map.split_bands(0..dims[1].div_ceil(band), &content);
+        map.split_bands(0..(dims[1] + before).div_ceil(band), &content);
         map
     }
 
@@ -217,6 +254,17 @@ impl TileMap {
         self.band as usize
     }
 
+    /// The row of its tile that row `y` is.
+    #[must_use]
+    pub fn row_in_tile(&self, y: usize) -> usize {
+        (y + self.before as usize) % self.band as usize
+    }
+
+    /// The first row of a band that is in the volume.
+    fn first_row(&self, band: u32) -> u32 {
+        (band * self.band).saturating_sub(self.before)
+    }
+
     /// Number of tiles whose voxels are kept.
     #[must_use]
     pub fn tiles(&self) -> u32 {
@@ -243,8 +291,9 @@ impl TileMap {
         }
     }
 
-    /// Number of the entry that holds a band.
-    fn entry(&self, band: u32) -> usize {
+    /// Number of the entry that holds row `y`.
+    fn entry(&self, y: u32) -> usize {
+        let band = (y + self.before) / self.band;
         self.bands.partition_point(|b| b.first <= band) - 1
     }
 
@@ -258,7 +307,7 @@ impl TileMap {
 
     /// The runs of row `y` that meet the tiles `x`, cut to them: their tiles and what they hold.
     pub fn row(&self, y: u32, x: Range<u32>) -> impl Iterator<Item = (Range<u32>, Content)> + '_ {
-        let runs = self.runs_of(self.entry(y / self.band));
+        let runs = self.runs_of(self.entry(y));
         let first = runs.partition_point(|run| run.first <= x.start).max(1) - 1;
         let across = self.across();
         (first..runs.len())
@@ -290,9 +339,9 @@ impl TileMap {
                 let from = tiles.map_or(number, |tiles| tiles.start);
                 tiles = Some(from..number + (end - run.first));
             }
-            let y = self.bands[entry].first * self.band;
+            let band = self.bands[entry].first;
             Some(BandTiles {
-                rows: y..(y + self.band).min(self.dims[1]),
+                rows: self.first_row(band)..self.first_row(band + 1).min(self.dims[1]),
                 columns,
                 tiles: tiles?,
             })
@@ -306,8 +355,8 @@ impl TileMap {
             let end = self
                 .bands
                 .get(entry + 1)
-                .map_or(self.dims[1], |next| next.first * self.band);
-            let rows = u64::from(end - self.bands[entry].first * self.band);
+                .map_or(self.dims[1], |next| self.first_row(next.first));
+            let rows = u64::from(end - self.first_row(self.bands[entry].first));
             runs.iter().enumerate().filter_map(move |(i, run)| {
                 let end = runs.get(i + 1).map_or(self.across(), |next| next.first);
                 let columns = (end * TILE_WIDTH).min(self.dims[0]) - run.first * TILE_WIDTH;
@@ -341,8 +390,8 @@ impl TileMap {
     ) -> Option<K> {
         let x = x.start / TILE_WIDTH..(x.end - 1) / TILE_WIDTH + 1;
         let mut all = None;
-        for entry in self.entry(y.start / self.band)..=self.entry((y.end - 1) / self.band) {
-            let first_row = self.bands[entry].first * self.band;
+        for entry in self.entry(y.start)..=self.entry(y.end - 1) {
+            let first_row = self.first_row(self.bands[entry].first);
             for (_, content) in self.row(first_row, x.clone()) {
                 let Content::Uniform { value, inside } = content else {
                     return None;
@@ -391,10 +440,19 @@ mod tests {
         #[test]
         fn a_map_tells_of_each_voxel_what_the_source_knows(
             seed: u64,
-            dims in [1u32..400, 1u32..40],
-            band in 1u32..20,
+            dims in [1u32..400, 1u32..200],
+            piece in 1u64..90,
+            before in 0u64..90,
         ) {
-            let map = TileMap::find(dims, band, 0..3, |r| uniform(seed, r), |v| v[0] == 1);
+            let pieces = PieceGrid {
+                shape: [10, piece, 4],
+                before: [3, before % piece, 2],
+            };
+            let before = pieces.before[1] as u32;
+            let map = TileMap::find(
+                [dims[0], dims[1], 9], &pieces, 0..3, |r| uniform(seed, r), |v| v[0] == 1,
+            );
+            let band = map.band() as u32;
             let mut numbers = Vec::new();
             for y in 0..dims[1] {
                 let mut next = 0;
@@ -402,8 +460,12 @@ mod tests {
                     prop_assert_eq!(x.start, next);
                     next = x.end;
                     for tile in x.clone() {
-                        let lo = [tile * 64, y / band * band];
-                        let hi = [(lo[0] + 64).min(dims[0]), (lo[1] + band).min(dims[1])];
+                        let in_band = (y + before) / band;
+                        let lo = [tile * 64, (in_band * band).saturating_sub(before)];
+                        let hi = [
+                            (lo[0] + 64).min(dims[0]),
+                            ((in_band + 1) * band - before).min(dims[1]),
+                        ];
                         let region = Region {
                             origin: [lo[0].into(), lo[1].into(), 0],
                             size: [(hi[0] - lo[0]).into(), (hi[1] - lo[1]).into(), 3],
@@ -416,7 +478,7 @@ mod tests {
                             }
                             Content::Tiles(number) => {
                                 prop_assert_eq!(known, None);
-                                if y % band == 0 {
+                                if y == lo[1] {
                                     numbers.push(number + tile - x.start);
                                 }
                             }

@@ -32,6 +32,8 @@ pub(crate) enum Kind {
 pub(crate) struct Pieces {
     pub(crate) dims: [u64; 3],
     pub(crate) chunk: [u64; 3],
+    /// Voxels of the first piece that lie before the volume.
+    pub(crate) before: [u64; 3],
     pub(crate) background: u8,
     pub(crate) things: Vec<Thing>,
     /// Whether the source says where it is uniform.
@@ -93,6 +95,7 @@ impl Pieces {
         Self {
             dims,
             chunk,
+            before: [0; 3],
             background: 0,
             things,
             tells: true,
@@ -152,15 +155,20 @@ impl RandomVoxels for Pieces {
     fn read_box(&self, region: &Region, out: &mut Vec<u8>) -> Result<(), Error> {
         assert!(region.is_inside(self.dims), "{region:?}");
         let [xs, ys, zs] = [0, 1, 2].map(|a| {
-            region.origin[a] / self.chunk[a]
-                ..=(region.origin[a] + region.size[a] - 1) / self.chunk[a]
+            (region.origin[a] + self.before[a]) / self.chunk[a]
+                ..=(region.origin[a] + self.before[a] + region.size[a] - 1) / self.chunk[a]
         });
         for z in zs {
             for y in ys.clone() {
                 for x in xs.clone() {
                     let piece = [x, y, z];
-                    let origin = [0, 1, 2].map(|a| piece[a] * self.chunk[a]);
-                    let size = [0, 1, 2].map(|a| self.chunk[a].min(self.dims[a] - origin[a]));
+                    let from = |a: usize, n: u64| {
+                        (n * self.chunk[a])
+                            .saturating_sub(self.before[a])
+                            .min(self.dims[a])
+                    };
+                    let origin = [0, 1, 2].map(|a| from(a, piece[a]));
+                    let size = [0, 1, 2].map(|a| from(a, piece[a] + 1) - origin[a]);
                     if self.uniform(&Region { origin, size }).is_none() {
                         *self.decoded.lock().unwrap().entry(piece).or_default() += 1;
                     }
@@ -183,10 +191,23 @@ impl RandomVoxels for Pieces {
         Some(self.chunk)
     }
 
+    fn chunk_start(&self) -> [u64; 3] {
+        self.before
+    }
+
     fn uniform(&self, region: &Region) -> Option<[u8; 8]> {
         if !self.tells {
             return None;
         }
+        // As a source of pieces would: it knows of whole ones.
+        let (mut origin, mut size) = ([0; 3], [0; 3]);
+        for a in 0..3 {
+            let (piece, before) = (self.chunk[a], self.before[a]);
+            let end = region.origin[a] + region.size[a] + before;
+            origin[a] = ((region.origin[a] + before) / piece * piece).saturating_sub(before);
+            size[a] = (end.div_ceil(piece) * piece - before).min(self.dims[a]) - origin[a];
+        }
+        let region = &Region { origin, size };
         let value = match self.things.iter().rev().find(|t| t.meets(region)) {
             None => self.background,
             Some(thing) => match thing.kind {

@@ -7,6 +7,7 @@
 //! * [`dgtal`] repeats DGtal's cell measures and walk, and [`causes`] names the cells where they
 //!   differ from the plain ones.
 //! * [`agreement`] compares the plain reference with DGtal, [`accuracy`] with the truth.
+//! * [`formats`] reads every file of a folder of test data and tables what became of it.
 //! * [`grey`] compares normals from grey values with normals from bits.
 //! * [`meshes`] makes polyhedra of known curvature: Schwarz lanterns, spheres, tori.
 //! * [`picture`] draws what a run of `curvox` left.
@@ -25,6 +26,7 @@ pub mod causes;
 pub mod accuracy;
 pub mod agreement;
 
+pub mod formats;
 pub mod grey;
 pub mod meshes;
 

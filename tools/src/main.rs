@@ -7,6 +7,7 @@ use clap::{Parser, Subcommand};
 
 use curvox_tools::accuracy::KnownShape;
 use curvox_tools::agreement::{self, Comparison};
+use curvox_tools::formats::FormatsArgs;
 use curvox_tools::grey::GreyArgs;
 use curvox_tools::meshes::MeshCommand;
 use curvox_tools::npz::Table;
@@ -50,6 +51,8 @@ enum Command {
     Paper(PaperArgs),
     /// Errors of H with normals from grey values and from bits, on images such as scanners give
     Grey(GreyArgs),
+    /// Read every file of a folder of test data and write a page on what became of each
+    Formats(FormatsArgs),
 }
 
 fn main() -> Result<()> {
@@ -82,6 +85,7 @@ fn main() -> Result<()> {
         Command::Mesh(command) => command.run()?,
         Command::Paper(arguments) => arguments.run()?,
         Command::Grey(arguments) => arguments.run()?,
+        Command::Formats(arguments) => arguments.run()?,
         Command::Errors {
             reference,
             gridsteps,
