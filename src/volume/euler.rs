@@ -43,18 +43,49 @@ impl SolidCounts {
     pub fn of_plane(window: &PlaneWindow, z: i32) -> Self {
         let mut counts = Self::default();
         let blocks = [0, 1].map(|a| window.dims[a] as i32 + 1);
-        window.rectangles([0; 2], blocks, z..z + 1, 64, true, &mut |lo, hi, known| {
-            match known {
-                // all outside: nothing; all inside: 1 of each kind, which cancels
-                Some(false) => {}
-                Some(true) => {
-                    let [columns, rows] = [0, 1].map(|a| u64::from(lo[a].abs_diff(hi[a])));
-                    counts.voxels += columns * rows;
-                }
-                None => counts.add_rows(window, lo, hi, z),
-            }
-        });
+        let mut found = |lo: [i32; 2], hi: [i32; 2], known| match known {
+            Some(false) => {}
+            Some(true) => counts.add_solid(window.dims, lo, hi, z),
+            None => counts.add_rows(window, lo, hi, z),
+        };
+        window.rectangles([0; 2], blocks, z..z + 1, 64, false, &mut found);
         counts
+    }
+
+    /// The blocks `lo <= c < hi` of plane `z` of an image of which all voxels there are inside.
+    fn add_solid(&mut self, dims: [u32; 3], lo: [i32; 2], hi: [i32; 2], z: i32) {
+        // Blocks along an axis of which only the second voxel is in the image, both, only the first.
+        let kinds = |lo: i32, hi: i32, dims: u32| {
+            let [first, last] = [lo == 0, hi > dims as i32].map(i64::from);
+            [first, i64::from(hi - lo) - first - last, last]
+        };
+        let along = [
+            kinds(lo[0], hi[0], dims[0]),
+            kinds(lo[1], hi[1], dims[1]),
+            kinds(z, z + 1, dims[2]),
+        ];
+        for n in 0..27 {
+            let kind = [n % 3, n / 3 % 3, n / 9];
+            let count: i64 = (0..3).map(|a| along[a][kind[a]]).product();
+            if count == 0 {
+                continue;
+            }
+            let [(x0, x1), (y0, y1), (z0, z1)] = kind.map(|kind| (kind > 0, kind < 2));
+            let rows = [y1 && z1, y0 && z1, y1 && z0, y0 && z0];
+            let mut one = Self::default();
+            one.add_word(
+                rows.map(|row| u64::from(row && x1)),
+                rows.map(|row| u64::from(row && x0)),
+            );
+            let times = count.unsigned_abs();
+            self.add(&Self {
+                voxels: one.voxels * times,
+                chi26: one.chi26 * count,
+                chi6: one.chi6 * count,
+                antipodal_inside: one.antipodal_inside * times,
+                antipodal_outside: one.antipodal_outside * times,
+            });
+        }
     }
 
     /// The blocks `lo <= c < hi` of plane `z`; `lo[0]` is a multiple of 64.
