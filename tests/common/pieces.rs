@@ -104,11 +104,6 @@ impl Pieces {
         }
     }
 
-    pub(crate) fn value(&self, p: [u64; 3]) -> u8 {
-        let found = self.things.iter().rev().find_map(|thing| thing.value(p));
-        found.unwrap_or(self.background)
-    }
-
     pub(crate) fn header(&self) -> Header {
         let dtype = if self.wide {
             DType {
@@ -123,6 +118,12 @@ impl Pieces {
 
     pub(crate) fn bytes(&self, region: &Region, out: &mut Vec<u8>) {
         out.clear();
+        let things: Vec<_> = self
+            .things
+            .iter()
+            .rev()
+            .filter(|t| t.meets(region))
+            .collect();
         let [xs, ys, zs] = [0, 1, 2].map(|a| region.origin[a]..region.origin[a] + region.size[a]);
         for z in zs {
             for y in ys.clone() {
@@ -130,7 +131,8 @@ impl Pieces {
                     if self.wide {
                         out.push(0);
                     }
-                    out.push(self.value([x, y, z]));
+                    let found = things.iter().find_map(|thing| thing.value([x, y, z]));
+                    out.push(found.unwrap_or(self.background));
                 }
             }
         }
