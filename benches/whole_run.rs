@@ -4,7 +4,7 @@ use std::sync::atomic::AtomicBool;
 
 use curvox::lattice::Lattice;
 use curvox::normal::{Estimator, Orientation};
-use curvox::pipeline::{Progress, Settings, Source, run};
+use curvox::pipeline::{Access, Progress, Settings, Source, run};
 use curvox::shape::{Digitisation, Goursat, Grid};
 use curvox::volume::{Binarizer, Criterion};
 use curvox_formats::{DType, OpenOptions, RawLayout, Unit, VoxelType, open_stream};
@@ -53,7 +53,7 @@ fn goursat_surfels(bencher: Bencher<'_, '_>, (radius, threads): (f64, usize)) {
             open_stream(Box::new(std::io::Cursor::new(bytes)), "goursat", &options).unwrap();
         let criterion = Criterion::AtLeast(1i128.into());
         let binarizer = Binarizer::new(criterion, VoxelType::U8, volume.header.byte_order, None);
-        let plan = settings.plan(1, true, 0).unwrap();
+        let plan = settings.plan(&Access::forward(1), 0).unwrap();
         let (progress, stop) = (Progress::default(), AtomicBool::new(false));
         run(
             Source { volume, binarizer },

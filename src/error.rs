@@ -34,6 +34,20 @@ pub enum Error {
         /// Memory that would do.
         needed_bytes: u64,
     },
+    /// The surface of a volume that is mostly uniform is too scattered for the memory allowed.
+    #[error(
+        "the surface is too scattered for the memory allowed: around plane {plane} {what}, which takes \
+         about {} MiB with everything else; allow that with --memory",
+        needed_bytes.div_ceil(1 << 20)
+    )]
+    TooScattered {
+        /// Plane of voxels where it was found.
+        plane: i32,
+        /// What is too much there.
+        what: String,
+        /// Memory that would do.
+        needed_bytes: u64,
+    },
     /// The worker threads could not be started.
     #[error("cannot start worker threads: {0}")]
     Threads(String),

@@ -24,7 +24,7 @@
 //! ```
 //! use std::sync::atomic::AtomicBool;
 //! use curvox::lattice::Lattice;
-//! use curvox::pipeline::{Progress, Settings, Source, run};
+//! use curvox::pipeline::{Access, Progress, Settings, Source, run};
 //! use curvox::sink::{SinkError, SurfelBatch, SurfelSink};
 //! use curvox::volume::{Binarizer, Criterion};
 //! use curvox_formats::{OpenOptions, open_stream};
@@ -50,7 +50,7 @@
 //! let volume = open_stream(Box::new(std::io::Cursor::new(file)), "ball", &OpenOptions::default())?;
 //! let header = volume.header.clone();
 //! let settings = Settings::new(Lattice::new(header.dims, [1.0; 3], false)?);
-//! let plan = settings.plan(1, true, 0)?;
+//! let plan = settings.plan(&Access::forward(1), 0)?;
 //! let binarizer =
 //!     Binarizer::new(Criterion::AtLeast(1.0.into()), header.voxel, header.byte_order, header.scaling);
 //! let mut area = Area(0.0);

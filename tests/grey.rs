@@ -3,7 +3,7 @@ use std::sync::atomic::AtomicBool;
 use curvox::Error;
 use curvox::lattice::Lattice;
 use curvox::normal::{Estimator, Orientation};
-use curvox::pipeline::{Progress, Settings, Source, run};
+use curvox::pipeline::{Access, Progress, Settings, Source, run};
 use curvox::shape::{Digitisation, GreyPlanes, Grid, Scanner, Sphere};
 use curvox::sink::{Flag, SurfelBatch};
 use curvox::volume::{Binarizer, Criterion};
@@ -96,7 +96,7 @@ fn float_stream(image: &Image) -> Volume {
 
 fn tried(volume: Volume, criterion: Criterion, settings: &Settings) -> Result<SurfelBatch, Error> {
     let header = &volume.header;
-    let plan = settings.plan(header.voxel.bytes() as u64, true, 0)?;
+    let plan = settings.plan(&Access::of(&volume), 0)?;
     let binarizer = Binarizer::new(criterion, header.voxel, header.byte_order, header.scaling);
     let mut rows = Collected::default();
     run(
@@ -484,17 +484,20 @@ fn byte_order_and_scaling_are_honoured() {
 fn values_take_memory_that_the_plan_counts() {
     let lattice = Lattice::new([4096, 4096, 500], [1.0; 3], false).unwrap();
     let mut settings = Settings::new(lattice);
-    let bits_alone = settings.plan(2, true, 0).unwrap();
+    let bits_alone = settings.plan(&Access::forward(2), 0).unwrap();
     assert_eq!(bits_alone.grey_bytes, 0);
     settings.estimator = Estimator::Gradient { sigma: 1.5 };
     settings.memory_bytes = 2 << 30;
-    let plan = settings.plan(2, true, 0).unwrap();
+    let plan = settings.plan(&Access::forward(2), 0).unwrap();
     let plane = 4096 * 4096 * 2;
     let reach = u64::try_from(plan.normal_reach[2]).unwrap();
     assert!(plan.grey_bytes >= (plan.slab_planes as u64 + 2 * reach) * plane);
     assert!(plan.fixed_bytes + plan.grey_bytes + plan.bits_bytes + plan.read_bytes < 2 << 30);
     settings.memory_bytes = 400 << 20;
-    let refused = settings.plan(2, true, 0).unwrap_err().to_string();
+    let refused = settings
+        .plan(&Access::forward(2), 0)
+        .unwrap_err()
+        .to_string();
     assert!(
         refused.contains("grey values") && refused.contains("--memory"),
         "{refused}"

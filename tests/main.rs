@@ -15,6 +15,9 @@ mod theorems;
 /// How a volume is cut does not show.
 mod brick_invariance;
 
+/// Volumes that are decoded in pieces, and those that are mostly uniform.
+mod pieces;
+
 /// Normals out of grey values.
 mod grey;
 

@@ -10,7 +10,7 @@ use curvox::khalimsky::Adjacency;
 use curvox::lattice::Lattice;
 use curvox::measure::ball::Weights;
 use curvox::normal::{Estimator, Orientation};
-use curvox::pipeline::{Outcome, Progress, Settings, Source, run};
+use curvox::pipeline::{Access, Outcome, Progress, Settings, Source, run};
 use curvox::surfel::SurfelIndex;
 use curvox::volume::{Binarizer, BitPlane, Criterion, PlaneWindow, SolidCounts};
 use curvox_formats::{OpenOptions, Volume, open};
@@ -411,7 +411,7 @@ fn volumes_of_the_gallery_have_the_surfels_and_voxels_they_should() {
 /// Runs the pipeline on a volume, without keeping rows; gives their number as well.
 fn piped(path: &Path, criterion: Criterion, settings: &Settings) -> (u64, Outcome) {
     let source = source(path, criterion);
-    let plan = settings.plan(8, true, 0).unwrap();
+    let plan = settings.plan(&Access::forward(8), 0).unwrap();
     let mut rows = Collected::default();
     let progress = Progress::default();
     let stop = AtomicBool::new(false);

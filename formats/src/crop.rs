@@ -145,11 +145,14 @@ impl RandomVoxels for RandomCrop {
         self.voxels.check()
     }
 
-    /// Only where the pieces still begin at voxel (0, 0, 0).
     fn chunk(&self) -> Option<[u64; 3]> {
-        let chunk = self.voxels.chunk()?;
-        let aligned = (0..3).all(|a| self.region.origin[a].is_multiple_of(chunk[a]));
-        aligned.then_some(chunk)
+        self.voxels.chunk()
+    }
+
+    fn chunk_start(&self) -> [u64; 3] {
+        let before = self.voxels.chunk_start();
+        let shape = self.voxels.chunk().unwrap_or([1; 3]);
+        [0, 1, 2].map(|a| (self.region.origin[a] + before[a]) % shape[a].max(1))
     }
 
     fn uniform(&self, region: &Region) -> Option<[u8; 8]> {

@@ -113,11 +113,16 @@ pub trait RandomVoxels: Send + Sync {
     /// If the file changed under the map meanwhile: what was computed from the bytes is wrong.
     fn check(&self) -> Result<(), Error>;
 
-    /// The shape, along x, y, z, of the pieces in which the voxels are decoded, the first of which
-    /// begins at voxel (0, 0, 0); `None` where any box costs as much as its bytes. Reading a part
-    /// of a piece decodes all of it.
+    /// The shape, along x, y, z, of the pieces in which the voxels are decoded; `None` where any
+    /// box costs as much as its bytes. Reading a part of a piece decodes all of it.
     fn chunk(&self) -> Option<[u64; 3]> {
         None
+    }
+
+    /// How many voxels of the first piece lie before voxel (0, 0, 0) along each axis, fewer than a
+    /// piece has. Not 0 where the volume is cut out of a larger one.
+    fn chunk_start(&self) -> [u64; 3] {
+        [0; 3]
     }
 
     /// The value, as the bytes of one voxel (the first of the eight), that all voxels of `region`
@@ -135,40 +140,90 @@ pub trait RandomVoxels: Send + Sync {
 }
 
 impl Volume {
-    /// The voxels as planes in order, whatever the source can do.
+    /// The voxels as planes in order, whatever the source can do. Pieces are decoded once for all
+    /// planes in them, as far as those take no more than 256 MiB together.
     pub fn into_forward(self) -> Box<dyn ForwardVoxels> {
         match self.voxels {
             Voxels::Forward(voxels) => voxels,
-            Voxels::Random(voxels) => Box::new(InOrder {
-                voxels,
-                dims: self.header.dims,
-                next: 0,
-            }),
+            Voxels::Random(voxels) => Box::new(InOrder::new(voxels, &self.header)),
         }
     }
 }
+
+/// Bytes of planes that are read together at most, so that a piece is decoded once for all of them.
+const LAYER_BYTES: u64 = 256 << 20;
 
 /// Random access read in order.
 struct InOrder {
     voxels: Box<dyn RandomVoxels>,
     dims: [u64; 3],
+    plane_bytes: u64,
     next: u64,
+    /// The planes of a layer of pieces, from `layer_start` on; empty where voxels have no pieces.
+    layer: Vec<u8>,
+    layer_start: u64,
+    layer_end: u64,
+}
+
+impl InOrder {
+    fn new(voxels: Box<dyn RandomVoxels>, header: &Header) -> Self {
+        Self {
+            voxels,
+            dims: header.dims,
+            plane_bytes: header.plane_bytes().unwrap_or(u64::MAX),
+            next: 0,
+            layer: Vec::new(),
+            layer_start: 0,
+            layer_end: 0,
+        }
+    }
+
+    fn read(&self, z: u64, count: u64, out: &mut Vec<u8>) -> Result<(), Error> {
+        let [x, y, _] = self.dims;
+        let region = Region {
+            origin: [0, 0, z],
+            size: [x, y, count],
+        };
+        self.voxels.read_box(&region, out)
+    }
+
+    /// Where planes from `z` on that are read together end: with the pieces they are in, or before
+    /// where those are too large.
+    fn end_of_layer(&self, z: u64, thickness: u64) -> u64 {
+        let most = (LAYER_BYTES / self.plane_bytes.max(1)).max(1);
+        let before = self.voxels.chunk_start()[2];
+        let end = ((z + before) / thickness + 1).saturating_mul(thickness) - before;
+        end.min(z + most).min(self.dims[2])
+    }
 }
 
 impl ForwardVoxels for InOrder {
     fn read_planes(&mut self, count: u64, out: &mut Vec<u8>) -> Result<u64, Error> {
         out.clear();
-        let [x, y, z] = self.dims;
-        let count = count.min(z - self.next);
-        if count > 0 {
-            let region = Region {
-                origin: [0, 0, self.next],
-                size: [x, y, count],
-            };
-            self.voxels.read_box(&region, out)?;
-            self.next += count;
-            self.voxels.release(self.next);
+        let count = count.min(self.dims[2] - self.next);
+        let thickness = self.voxels.chunk().map_or(1, |chunk| chunk[2]);
+        if count == 0 {
+            return Ok(0);
         }
+        if thickness <= 1 {
+            self.read(self.next, count, out)?;
+            self.next += count;
+        } else {
+            let end = self.next + count;
+            while self.next < end {
+                if self.next == self.layer_end {
+                    let mut layer = std::mem::take(&mut self.layer);
+                    let layer_end = self.end_of_layer(self.next, thickness);
+                    self.read(self.next, layer_end - self.next, &mut layer)?;
+                    (self.layer, self.layer_start, self.layer_end) = (layer, self.next, layer_end);
+                }
+                let until = end.min(self.layer_end);
+                let place = |z: u64| ((z - self.layer_start) * self.plane_bytes) as usize;
+                out.extend_from_slice(&self.layer[place(self.next)..place(until)]);
+                self.next = until;
+            }
+        }
+        self.voxels.release(self.next);
         Ok(count)
     }
 

@@ -16,6 +16,9 @@
 //!        +-----+-----+-----+
 //! ```
 //!
+//! Bricks without surfels are not kept, and where the voxels of a slab are known to be uniform they
+//! are never looked for, so that a slab costs by its surface and not by its extents.
+//!
 //! Guaranteed: how the volume was cut does not show in anything that is computed.
 
 use std::ops::Range;
@@ -40,24 +43,11 @@ impl BrickGrid {
         [0, 1].map(|a| (self.cell_dims[a] + self.edge - 1) / self.edge)
     }
 
-    /// Number of bricks of a slab.
-    #[must_use]
-    pub fn len(&self) -> usize {
-        let [x, y] = self.columns();
-        (x * y) as usize
-    }
-
-    /// Whether there is no brick; never, since a volume has voxels.
-    #[must_use]
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
-
     /// The cells of brick `number` of a slab.
     #[must_use]
     pub fn core(&self, number: usize, z: &Range<i32>) -> CellBox {
-        let nx = self.columns()[0];
-        let at = [number as i32 % nx, number as i32 / nx];
+        let nx = self.columns()[0] as usize;
+        let at = [(number % nx) as i32, (number / nx) as i32];
         let lo = at.map(|i| i * self.edge);
         let hi = [0, 1].map(|a| (lo[a] + self.edge).min(self.cell_dims[a]));
         CellBox {
@@ -65,15 +55,46 @@ impl BrickGrid {
             hi: [hi[0], hi[1], z.end],
         }
     }
+
+    /// The bricks of planes `z` that can have surfels, as far as that is known before any voxel is
+    /// looked at: all of them, unless the planes are in tiles. In ascending order. `closed` says that
+    /// there are surfels on the border of the image.
+    #[must_use]
+    pub fn occupied(&self, window: &PlaneWindow, z: Range<i32>, closed: bool) -> Vec<usize> {
+        let mut numbers = Vec::new();
+        let [x, y, _] = self.cell_dims;
+        let nx = self.columns()[0] as usize;
+        window.rectangles(
+            [0; 2],
+            [x, y],
+            z,
+            self.edge,
+            closed,
+            &mut |lo, hi, known| {
+                if known.is_none() {
+                    let [bricks_x, bricks_y] = [0, 1].map(|a| {
+                        (lo[a] / self.edge) as usize..((hi[a] - 1) / self.edge + 1) as usize
+                    });
+                    numbers
+                        .extend(bricks_y.flat_map(|y| bricks_x.clone().map(move |x| y * nx + x)));
+                }
+            },
+        );
+        numbers.sort_unstable();
+        numbers
+    }
 }
 
-/// Something computed for each brick of a slab, with the surfels of each brick indexed.
+/// Something computed for each brick of a slab that has surfels, which are indexed.
 pub trait Slab {
     /// Planes of cells of the slab.
     fn z(&self) -> Range<i32>;
 
-    /// The surfels of brick `number`.
-    fn index(&self, number: usize) -> &SurfelIndex;
+    /// Numbers of the bricks with surfels, in ascending order.
+    fn numbers(&self) -> &[usize];
+
+    /// The surfels of the brick whose number is at this place among [`Self::numbers`].
+    fn index(&self, at: usize) -> &SurfelIndex;
 
     /// Planes of voxels of the slab.
     fn planes(&self) -> &[Arc<BitPlane>];
@@ -139,7 +160,8 @@ impl<S: Slab> SlabWindow<S> {
     }
 
     /// Visits the surfels of a box of cells in Khalimsky order, as runs of consecutive surfels of
-    /// one brick: its slab, its number, and the numbers of the surfels in it.
+    /// one brick: its slab, its place among the bricks of the slab, and the numbers of the surfels
+    /// in it.
     ///
     /// # Panics
     /// If a plane of the box is not held.
@@ -149,36 +171,42 @@ impl<S: Slab> SlabWindow<S> {
         cells: CellBox,
         mut f: impl FnMut(&'a S, usize, Range<usize>),
     ) {
-        let nx = grid.columns()[0];
-        let bricks_x = cells.lo[0] / grid.edge..(cells.hi[0] - 1) / grid.edge + 1;
-        let mut row = |slab: &'a S, kind, y: i32, z| {
-            for bx in bricks_x.clone() {
-                let number = (y / grid.edge * nx + bx) as usize;
-                let index = slab.index(number);
-                if index.is_empty() {
-                    continue;
-                }
-                let from = cells.lo[0].max(bx * grid.edge);
-                let to = cells.hi[0].min((bx + 1) * grid.edge);
-                let run = index.range(kind, from..to, y, z);
-                if !run.is_empty() {
-                    f(slab, number, run);
-                }
-            }
-        };
+        let nx = grid.columns()[0] as usize;
+        let [bricks_x, bricks_y] = [0, 1].map(|a| {
+            (cells.lo[a] / grid.edge) as usize..((cells.hi[a] - 1) / grid.edge + 1) as usize
+        });
         for z in cells.lo[2]..cells.hi[2] {
             let slab = self
                 .slabs
                 .iter()
                 .find(|s| s.z().contains(&z))
                 .expect("plane held");
-            for y in cells.lo[1]..cells.hi[1] {
-                row(slab, Kind::Z, y, z);
-            }
-            for y in cells.lo[1]..cells.hi[1] {
-                row(slab, Kind::Y, y, z);
-                row(slab, Kind::X, y, z);
-            }
+            let numbers = slab.numbers();
+            let mut rows = |kinds: &[Kind]| {
+                for by in bricks_y.clone() {
+                    // The bricks of this row of bricks that meet the box.
+                    let from = numbers.partition_point(|&n| n < by * nx + bricks_x.start);
+                    let to = numbers.partition_point(|&n| n < by * nx + bricks_x.end);
+                    if from == to {
+                        continue;
+                    }
+                    let first = by as i32 * grid.edge;
+                    for y in first.max(cells.lo[1])..(first + grid.edge).min(cells.hi[1]) {
+                        for &kind in kinds {
+                            for (at, &number) in (from..to).zip(&numbers[from..to]) {
+                                let lo = (number % nx) as i32 * grid.edge;
+                                let x = cells.lo[0].max(lo)..cells.hi[0].min(lo + grid.edge);
+                                let run = slab.index(at).range(kind, x, y, z);
+                                if !run.is_empty() {
+                                    f(slab, at, run);
+                                }
+                            }
+                        }
+                    }
+                }
+            };
+            rows(&[Kind::Z]);
+            rows(&[Kind::Y, Kind::X]);
         }
     }
 }

@@ -4,10 +4,10 @@ use std::sync::atomic::AtomicBool;
 
 use anyhow::Result;
 use clap::Args;
-use curvox_formats::{Volume, Voxels};
+use curvox_formats::Volume;
 
 use crate::normal::Estimator;
-use crate::pipeline::{Plan, Settings};
+use crate::pipeline::{Access, Plan, Settings};
 use crate::sink::{NormalTable, TableInfo};
 use crate::volume::{Binarizer, Criterion, Number};
 
@@ -115,10 +115,7 @@ impl JobArgs {
                 .num_threads(threads.into())
                 .build_global();
         }
-        let buffered = matches!(volume.voxels, Voxels::Forward(_)) || !volume.source.mapped;
-        // What the reader keeps is held as long as what the sinks keep.
-        let held_bytes = sink_bytes.saturating_add(volume.source.held_bytes);
-        let plan = settings.plan(volume.header.voxel.bytes() as u64, buffered, held_bytes)?;
+        let plan = settings.plan(&Access::of(&volume), sink_bytes)?;
         let (criterion, otsu) = match inside {
             Inside::Given(criterion) => (criterion, None),
             Inside::Otsu => {

@@ -75,6 +75,9 @@ enum TableStream {
     Arrow,
 }
 
+/// Pixels of a slice that is still drawn: a file of more would have hundreds of gigabytes.
+const MOST_SLICE_PIXELS: u64 = 1 << 32;
+
 /// Where the results go.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Target {
@@ -169,6 +172,13 @@ impl OutputArgs {
         let Some(selection) = self.selection()? else {
             return Ok(0);
         };
+        let [width, height] = SliceSink::size(dims, selection.axis()).map(u64::from);
+        if width * height > MOST_SLICE_PIXELS {
+            return Err(usage(format!(
+                "--slices: a slice of {width} x {height} pixels is too large for an image; leave --slices \
+                 out, or crop the volume"
+            )));
+        }
         let bytes = SliceMemory::of(dims, &selection, true)
             .map_err(|error| usage(format!("--slices: {error}")))?;
         // What a scan needs, and more than that while it takes no more than a quarter.

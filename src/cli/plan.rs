@@ -238,6 +238,29 @@ fn write_text(
         "cut        bricks of {0} x {0}, slabs of at most {1} planes, {2} threads",
         plan.brick_edge, plan.slab_planes, plan.threads
     )?;
+    if let Some(chunks) = &plan.chunks {
+        let [cx, cy, cz] = chunks.shape;
+        let times = match chunks.decoded_times {
+            1 => "each decoded once".to_owned(),
+            n => format!("each decoded {n} times, since a layer of them does not fit the memory"),
+        };
+        writeln!(
+            out,
+            "pieces     {cx} x {cy} x {cz} voxels, read in layers of {} planes, {times}",
+            chunks.layer_planes
+        )?;
+        if let Some(tiles) = chunks.tiles {
+            writeln!(
+                out,
+                "sparse     {} boxes of 64 x {} x {} voxels are read and kept; the rest is known to be \
+                 uniform\n             a surface scattered over more bricks than the memory of indices \
+                 holds stops the run",
+                sizes::count(tiles),
+                chunks.band_rows,
+                chunks.layer_planes
+            )?;
+        }
+    }
     writeln!(
         out,
         "halo       {:?} voxels for normals, {:?} cells for sums",
@@ -248,15 +271,24 @@ fn write_text(
         "memory     {} allowed:",
         sizes::show(plan.memory_bytes)
     )?;
+    let index_bytes = plan.index_bytes().unwrap_or(0);
     for (what, bytes) in [
         ("program, reader, sinks", plan.fixed_bytes),
         ("read buffer", plan.read_bytes),
-        ("bits and indices", plan.bits_bytes),
+        (
+            if index_bytes > 0 {
+                "bits"
+            } else {
+                "bits and indices"
+            },
+            plan.bits_bytes,
+        ),
         ("grey values", plan.grey_bytes),
+        ("indices", index_bytes),
         ("scratch of workers", plan.scratch_bytes),
         ("surfels in flight", plan.surfel_budget_bytes),
     ] {
-        if bytes == 0 && what == "grey values" {
+        if bytes == 0 && matches!(what, "grey values" | "indices") {
             continue;
         }
         writeln!(out, "             {what:<22} {:>12}", sizes::show(bytes))?;

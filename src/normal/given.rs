@@ -102,13 +102,7 @@ pub fn surfel_at(
     if !exists(inner) || !(lattice.closed || exists(outer)) {
         return None;
     }
-    let inside = |p: [i32; 3]| {
-        exists(p)
-            && bits
-                .row(p[1], p[2])
-                .is_some_and(|row| row[p[0] as usize / 64] >> (p[0] % 64) & 1 == 1)
-    };
-    (inside(inner) && !inside(outer)).then_some(surfel)
+    (bits.inside(inner) && !bits.inside(outer)).then_some(surfel)
 }
 
 pub(super) fn estimate(given: &GivenNormals, surfels: &Surfels, lattice: &Lattice) -> Normals {

@@ -22,13 +22,14 @@ use crate::volume::{BitBox, PlaneWindow};
 
 use super::shared::Shared;
 
-/// The normals given for a slab and the number of rows without a surfel; `None` if normals are
-/// not given.
+/// The normals given for a slab, whose surfels are in `bricks`, and the number of rows without a
+/// surfel; `None` if normals are not given.
 pub(super) fn of_slab(
     shared: &Shared<'_>,
     bits: &PlaneWindow,
     grid: &BrickGrid,
     z: Range<i32>,
+    bricks: &[usize],
     surfels: u64,
 ) -> Result<Option<(GivenNormals, u64)>, Error> {
     let Some(table) = &shared.settings.given else {
@@ -89,7 +90,7 @@ pub(super) fn of_slab(
     })?;
     let given = GivenNormals::new(rows).map_err(|pair| twice(table, pair))?;
     if given.len() as u64 != surfels
-        && let Some(surfel) = first_without(shared, bits, grid, &z, &given)
+        && let Some(surfel) = first_without(shared, bits, grid, &z, bricks, &given)
     {
         return Err(SinkError::Damaged {
             path: table.path().to_owned(),
@@ -119,9 +120,10 @@ fn first_without(
     bits: &PlaneWindow,
     grid: &BrickGrid,
     z: &Range<i32>,
+    bricks: &[usize],
     given: &GivenNormals,
 ) -> Option<OrientedSurfel> {
-    (0..grid.len()).find_map(|number| {
+    bricks.iter().find_map(|&number| {
         let core = grid.core(number, z);
         let bits = BitBox::cut(bits, core.lo.map(|c| c - 1), core.hi.map(|c| c + 1));
         let index = SurfelIndex::find(&bits, core, shared.lattice);

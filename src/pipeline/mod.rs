@@ -19,8 +19,11 @@
 //! when its last user drops it ([`budget`]). Slab heights adapt to the surface met; [`plan`]
 //! derives the rest from the memory allowed. Neither can show in the results.
 
+mod access;
 pub mod budget;
+mod chunks;
 mod given;
+mod layers;
 pub mod plan;
 mod reader;
 mod rows;
@@ -29,6 +32,8 @@ mod settings;
 mod shared;
 mod stages;
 
+pub use access::{Access, Sparse};
+pub use chunks::ChunkPlan;
 pub use plan::{Plan, PlanError};
 pub use reader::{ReadCounts, Source};
 pub use run::{Outcome, run};

@@ -5,9 +5,10 @@
 //!
 //! | what | size |
 //! |---|---|
-//! | program, sinks | [`FIXED_BYTES`], [`COLUMN_BYTES`] for each column of parts |
-//! | read buffers | three chunks of planes as stored, unless they are mapped |
+//! | program, sinks | [`FIXED_BYTES`], [`COLUMN_BYTES`] for each column of parts, what the open input holds |
+//! | read buffers | three chunks of planes as stored, unless they are mapped; of a volume in pieces, a box and a piece for each task that reads ([`ChunkPlan`]) |
 //! | bits, and the index of surfels | 1/8 byte a voxel of 2 R + 3 H + 9 S planes, about 9/16 more (as if no brick were empty) of 2 H + 8 S of them |
+//! | bits of a layer | the same 1/8 byte, for the planes that are read together because pieces are as thick |
 //! | grey values | S + R + max(R, H + 3) + 2 planes as stored and three chunks of them, only for the gradient |
 //! | a table of normals | its row groups and [`crate::sink::GIVEN_READ_BYTES`], only for given normals |
 //! | surfels in flight | [`Plan::surfel_bytes`] each, within 3/4 of [`Plan::surfel_budget_bytes`] |
@@ -18,6 +19,10 @@
 //! The number of surfels is only known when they are met, so slabs adapt: a slab is lowered until
 //! the surfels that must be held at once fit ([`Plan::surfel_budget_bytes`]); a surface that does
 //! not fit with slabs of one plane stops the run with the memory it would need.
+//!
+//! Of a volume that is mostly uniform ([`Access::sparse`]), bits, grey values and columns of parts are
+//! counted by the tiles in which voxels differ, which are known in advance. The index depends on
+//! how the surface is scattered over bricks; it has a share of the memory and stops the run beyond that.
 
 use serde::Serialize;
 
@@ -27,6 +32,9 @@ use crate::measure::ball::{BallKernel, Weights};
 use crate::normal::{NormalKernel, given};
 use crate::sink::{NormalTable, Parts};
 use crate::surfel::Surfels;
+
+use super::access::{Access, Sparse};
+use super::chunks::ChunkPlan;
 
 /// The program itself, its stacks, allocator slack and one open part.
 pub const FIXED_BYTES: u64 = 56 << 20;
@@ -58,7 +66,7 @@ const WIDE_REACH: i32 = 40;
 /// Slabs with an index held at once beside the planes within reach of the sums: three in the
 /// window of the sums, which reach cuts anywhere, one in a channel, one measured and one it waits
 /// for, one in a channel, one whose normals are made.
-const SLABS_IN_FLIGHT: u64 = 8;
+pub(super) const SLABS_IN_FLIGHT: u64 = 8;
 
 /// Planes of rows on their way at once: one made, two in the channel, one in the sinks.
 const SENT_PLANES: u64 = 4;
@@ -98,6 +106,12 @@ pub struct Plan {
     pub row_bytes: u64,
     /// Memory of a row of the densest plane, as handed to the sinks.
     pub sent_row_bytes: u64,
+    /// Columns of parts that may be open at once.
+    #[serde(skip)]
+    pub open_columns: u64,
+    /// How pieces are read, where voxels are stored in pieces.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub chunks: Option<ChunkPlan>,
 }
 
 /// Why there is no plan.
@@ -154,10 +168,8 @@ pub struct PlanRequest<'a> {
     pub threads: usize,
     /// Edge of bricks and greatest height of slabs, if they are to be fixed.
     pub brick: Option<i32>,
-    /// Bytes of a stored voxel.
-    pub voxel_bytes: u64,
-    /// Whether stored planes are read into a buffer (not mapped).
-    pub buffered: bool,
+    /// How voxels can be read.
+    pub access: &'a Access,
 }
 
 impl Plan {
@@ -166,6 +178,12 @@ impl Plan {
     #[must_use]
     pub fn planes_ahead(&self) -> i32 {
         self.ball_reach[2] + 4
+    }
+
+    /// Memory for indices, if they may take less than they can at worst.
+    #[must_use]
+    pub fn index_bytes(&self) -> Option<u64> {
+        self.chunks.as_ref()?.index_bytes
     }
 
     /// Makes a plan.
@@ -250,23 +268,76 @@ impl Plan {
         let surfel_bytes = 30 + omega_bytes + if lumped { 65 } else { 130 } + given_row;
         let [x, y, z] = lattice.dims.map(u64::from);
         let plane_bits = x.div_ceil(64) * 8 * y;
-        let stored_plane = (x * y).saturating_mul(request.voxel_bytes);
-        let read_planes = (READ_BYTES / stored_plane.max(1)).clamp(1, 64).min(z);
-        let read_bytes = if request.buffered {
-            2 * read_planes * stored_plane
-        } else {
-            0
-        };
+        let access = request.access;
+        let sparse = access.sparse.as_ref();
+        let stored_plane = (x * y).saturating_mul(access.voxel_bytes);
         let columns = Parts::new(lattice.dims).columns();
-        let columns = u64::from(columns[0]) * u64::from(columns[1]);
+        let columns = match sparse {
+            Some(sparse) => sparse.columns,
+            None => u64::from(columns[0]) * u64::from(columns[1]),
+        };
         let fixed_bytes = FIXED_BYTES
             + (columns - 1) * COLUMN_BYTES
             + request.sink_bytes
+            + request.access.held_bytes
             + request.given.map_or(0, NormalTable::bytes);
+        let mut read_planes = (READ_BYTES / stored_plane.max(1)).clamp(1, 64).min(z);
+        let after_fixed = request.memory_bytes.saturating_sub(fixed_bytes);
+        let grey_plane = if normals.needs_grey() {
+            stored_plane
+        } else {
+            0
+        };
+        // The first layer that takes a third of the memory at most, or the thinnest.
+        let reading = access.pieces.and_then(|pieces| {
+            let planes =
+                |n: u64| ChunkPlan::new(access, pieces, [x, y, z], n, request.threads, after_fixed);
+            let mut last = None;
+            for height in ChunkPlan::heights(access, pieces, z, read_planes) {
+                let reading = planes(height);
+                let layer = height.min(z).saturating_mul(plane_bits + grey_plane);
+                let fits = layer.saturating_add(reading.box_bytes) <= after_fixed / 3;
+                last = Some(reading);
+                if fits {
+                    break;
+                }
+            }
+            last
+        });
+        let (layer_planes, read_bytes) = match &reading {
+            Some(reading) => (reading.plan.layer_planes.min(z), reading.box_bytes),
+            None if access.buffered => (0, 2 * read_planes * stored_plane),
+            None => (0, 0),
+        };
+        // Planes on their way: packed, sent, and arrived before they are needed. Packed ones of a
+        // layer count by themselves.
+        let mut waiting = 3 * read_planes;
+        if reading.is_some() {
+            read_planes = if sparse.is_some() {
+                layer_planes
+            } else {
+                read_planes.min(layer_planes)
+            };
+            waiting = 2 * read_planes;
+        }
+        let (layer_bits, layer_grey) = match sparse {
+            Some(_) => (0, 0),
+            None => (
+                plane_bits.saturating_mul(layer_planes),
+                grey_plane.saturating_mul(layer_planes),
+            ),
+        };
+        let tiles = |planes: u64, row_bytes: u64| {
+            let rows = reading.as_ref().map_or(0, |reading| reading.plan.band_rows);
+            sparse.map(|sparse| sparse.window_bytes(planes + layer_planes, rows, row_bytes))
+        };
         let (normal_z, ball_z) = (normal_reach[2] as u64, ball_reach[2] as u64);
         let bits_bytes = |edge: i32, slab: i32| {
             let indexed = (2 * ball_z + SLABS_IN_FLIGHT * slab as u64).min(z + 1);
-            let packed = indexed + 2 * normal_z + ball_z + 6 + slab as u64 + 3 * read_planes;
+            let packed = indexed + 2 * normal_z + ball_z + 6 + slab as u64 + waiting;
+            if let Some(bytes) = tiles(packed, 8) {
+                return bytes;
+            }
             // 3 words of 12 bytes for each word of a row; rows start on a word in each brick
             let edge = edge as u64;
             let plane_index = x.div_ceil(edge) * edge.div_ceil(64) * 36 * y;
@@ -279,8 +350,9 @@ impl Plan {
             }
             let below = normal_z + 1;
             let ahead = below.max(ball_z + 4);
-            let planes = slab as u64 + below + ahead + 3 * read_planes;
-            stored_plane.saturating_mul(planes.min(z))
+            let planes = slab as u64 + below + ahead + waiting;
+            tiles(planes, Sparse::grey_row_bytes(access.voxel_bytes))
+                .unwrap_or_else(|| stored_plane.saturating_mul(planes.min(z)))
         };
         let surfel_scratch = omega_bytes
             + if lumped {
@@ -317,7 +389,8 @@ impl Plan {
             };
             of_sums.max(of_normals) * request.threads as u64
         };
-        let base = fixed_bytes.saturating_add(read_bytes);
+        let layer_bytes = layer_bits.saturating_add(layer_grey);
+        let base = (fixed_bytes.saturating_add(read_bytes)).saturating_add(layer_bytes);
         let left = request.memory_bytes.saturating_sub(base);
         let is_wide = normal_reach.into_iter().max() > Some(WIDE_REACH);
         // Grey values come first. They are large, so a slab is only higher than one plane if they
@@ -362,6 +435,13 @@ impl Plan {
             grey_bytes(slab_planes),
             scratch_bytes(brick_edge, slab_planes),
         );
+        let mut surfel_budget_bytes = left - bits_bytes - grey_bytes - scratch_bytes;
+        let mut chunks = reading.map(|reading| reading.plan);
+        if let (Some(chunks), Some(_)) = (&mut chunks, sparse) {
+            let index = surfel_budget_bytes / 4;
+            chunks.index_bytes = Some(index);
+            surfel_budget_bytes -= index;
+        }
         Ok(Some(Self {
             memory_bytes: request.memory_bytes,
             threads: request.threads,
@@ -370,15 +450,17 @@ impl Plan {
             read_planes,
             normal_reach,
             ball_reach,
-            bits_bytes,
-            grey_bytes,
+            bits_bytes: bits_bytes + layer_bits,
+            grey_bytes: grey_bytes + layer_grey,
             read_bytes,
             scratch_bytes,
             fixed_bytes,
-            surfel_budget_bytes: left - bits_bytes - grey_bytes - scratch_bytes,
+            surfel_budget_bytes,
             surfel_bytes,
             row_bytes,
             sent_row_bytes,
+            open_columns: columns,
+            chunks,
         }))
     }
 }

@@ -1,5 +1,9 @@
 //! The first stage: stored planes to planes of bits, in order of z; where the normals are made from
 //! values, the planes as stored go with them.
+//!
+//! A volume that is mapped or comes forward is packed some planes at a time; one that is decoded in
+//! pieces, a layer of pieces at a time ([`super::layers`]). A layer is handed on in parts, and the next
+//! one is read while the stages work on what they have.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -10,8 +14,9 @@ use curvox_formats::{ForwardVoxels, Header, Region, Volume, Voxels};
 use rayon::prelude::*;
 
 use crate::error::Error;
-use crate::volume::{Binarizer, BitPlane};
+use crate::volume::{Binarizer, BitPlane, GreyPlane};
 
+use super::layers::LayerReader;
 use super::shared::Shared;
 
 /// Where voxels come from, and which are inside.
@@ -32,11 +37,11 @@ pub struct ReadCounts {
 }
 
 /// A plane of the image on its way to the normals.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Plane {
     pub(super) bits: Arc<BitPlane>,
     /// The plane as stored, if the normals ask for values.
-    pub(super) stored: Option<Arc<Vec<u8>>>,
+    pub(super) stored: Option<Arc<GreyPlane>>,
 }
 
 /// Reads all planes and sends them in chunks.
@@ -52,6 +57,26 @@ pub(super) fn read(
         source,
     } = volume;
     let mut counts = ReadCounts::default();
+    if let (Voxels::Random(random), Some(plan)) = (&voxels, &shared.plan.chunks) {
+        let mut layers = LayerReader::new(random.as_ref(), &header, &binarizer, shared, plan);
+        let mut z = 0;
+        while z < header.dims[2] {
+            let (planes, nan) = layers.read(z)?;
+            z += planes.len() as u64;
+            counts.nan += nan;
+            shared.progress.planes_read.store(z, Ordering::Relaxed);
+            let mut planes = planes.into_iter().peekable();
+            while planes.peek().is_some() {
+                let some = planes.by_ref().take(shared.plan.read_planes as usize);
+                if shared.stopped() || out.send(some.collect()).is_err() {
+                    return Err(Error::Stopped);
+                }
+            }
+            random.release(z);
+        }
+        random.check()?;
+        return Ok(counts);
+    }
     let mut z = 0;
     let mut send = |bytes: &[u8], count: u64| {
         let (planes, nan) = pack(bytes, count, &header, &binarizer, shared);
@@ -205,7 +230,7 @@ fn pack(
                     bits: Arc::new(plane),
                     // A copy even of what is mapped: the map may be let go, and is only checked
                     // after it was used.
-                    stored: with_values.then(|| Arc::new(stored.to_vec())),
+                    stored: with_values.then(|| Arc::new(GreyPlane::Rows(stored.to_vec()))),
                 };
                 (plane, nan)
             })

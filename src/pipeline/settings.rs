@@ -10,6 +10,7 @@ use crate::measure::field::Field;
 use crate::normal::{Estimator, NormalKernel, Orientation};
 use crate::sink::{NormalTable, SinkError};
 
+use super::access::Access;
 use super::plan::{Plan, PlanRequest};
 
 /// What to compute.
@@ -109,11 +110,11 @@ impl Settings {
         })
     }
 
-    /// How a run of these settings would use its memory.
+    /// How a run of these settings would use its memory, on voxels that can be read like this.
     ///
     /// # Errors
     /// If radii cannot be used or the memory is too small.
-    pub fn plan(&self, voxel_bytes: u64, buffered: bool, sink_bytes: u64) -> Result<Plan, Error> {
+    pub fn plan(&self, access: &Access, sink_bytes: u64) -> Result<Plan, Error> {
         let kernels = self.kernels()?;
         Ok(Plan::new(&PlanRequest {
             lattice: &self.lattice,
@@ -127,8 +128,7 @@ impl Settings {
             sink_bytes,
             threads: self.threads,
             brick: self.brick,
-            voxel_bytes,
-            buffered,
+            access,
         })?)
     }
 }

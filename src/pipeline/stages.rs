@@ -1,6 +1,6 @@
 //! The stages between the reader and the sinks: each a loop over slabs, bricks in parallel.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -24,6 +24,7 @@ use crate::volume::{BitBox, BitPlane, GreyWindow, PlaneWindow, SolidCounts};
 
 use super::budget::Grant;
 use super::given;
+use super::plan::{COLUMN_BYTES, SLABS_IN_FLIGHT};
 use super::reader::Plane;
 use super::rows::{self, BrickRows};
 use super::shared::Shared;
@@ -42,6 +43,8 @@ pub(super) struct NormalBrick {
 pub(super) struct NormalSlab {
     z: Range<i32>,
     planes: Vec<Arc<BitPlane>>,
+    /// Numbers of the bricks with surfels.
+    numbers: Vec<usize>,
     bricks: Vec<NormalBrick>,
     _grant: Grant,
 }
@@ -50,14 +53,16 @@ pub(super) struct NormalSlab {
 #[derive(Debug)]
 pub(super) struct MeasureSlab {
     normals: Arc<NormalSlab>,
+    /// Of the same bricks.
     measures: Vec<CellMeasures>,
 }
 
-/// Rows of one plane and column of parts.
-pub(super) struct Rows {
-    batch: SurfelBatch,
-    /// The plane of cells is complete with this batch.
-    last_of_plane: bool,
+/// What goes to the sinks.
+pub(super) enum Rows {
+    /// Rows of one plane of cells and column of parts.
+    Batch(SurfelBatch),
+    /// All rows below this plane of cells have been sent.
+    Passed(i32),
 }
 
 impl Slab for NormalSlab {
@@ -65,8 +70,12 @@ impl Slab for NormalSlab {
         self.z.clone()
     }
 
-    fn index(&self, number: usize) -> &SurfelIndex {
-        &self.bricks[number].index
+    fn numbers(&self) -> &[usize] {
+        &self.numbers
+    }
+
+    fn index(&self, at: usize) -> &SurfelIndex {
+        &self.bricks[at].index
     }
 
     fn planes(&self) -> &[Arc<BitPlane>] {
@@ -79,8 +88,12 @@ impl Slab for MeasureSlab {
         self.normals.z()
     }
 
-    fn index(&self, number: usize) -> &SurfelIndex {
-        self.normals.index(number)
+    fn numbers(&self) -> &[usize] {
+        self.normals.numbers()
+    }
+
+    fn index(&self, at: usize) -> &SurfelIndex {
+        self.normals.index(at)
     }
 
     fn planes(&self) -> &[Arc<BitPlane>] {
@@ -211,11 +224,12 @@ pub(super) fn normals(
     };
     let ahead = reach.max(shared.plan.planes_ahead());
     let mut slabs: VecDeque<Range<i32>> = VecDeque::new();
+    let mut indices = Indices::default();
     let mut found = Found::default();
     let mut z = 0;
     while z < depth {
         arrived.wait_for(z + shared.plan.slab_planes + ahead)?;
-        let (end, surfels) = choose_slab(shared, &arrived, &mut slabs, z)?;
+        let (end, surfels) = choose_slab(shared, &grid, &arrived, &mut slabs, &indices, z)?;
         let Some(grant) = shared
             .budget
             .take(surfels * shared.plan.surfel_bytes, || shared.stopped())
@@ -223,7 +237,8 @@ pub(super) fn normals(
             return Err(Error::Stopped);
         };
         let window = &arrived.window;
-        let given = given::of_slab(shared, window, &grid, z..end, surfels)?;
+        let numbers = grid.occupied(window, z..end, shared.lattice.closed);
+        let given = given::of_slab(shared, window, &grid, z..end, &numbers, surfels)?;
         let (given, unmatched) = given.unzip();
         found.unmatched_normals += unmatched.unwrap_or(0);
         let around = Around {
@@ -231,13 +246,17 @@ pub(super) fn normals(
             grey: arrived.grey.as_ref(),
             given: given.as_ref(),
         };
-        let bricks: Vec<NormalBrick> = shared.pool.install(|| {
-            (0..grid.len())
+        let (numbers, bricks): (Vec<usize>, Vec<NormalBrick>) = shared.pool.install(|| {
+            numbers
                 .into_par_iter()
-                .map(|number| normal_brick(shared, &around, grid.core(number, &(z..end))))
-                .collect()
+                .filter_map(|number| {
+                    let brick = normal_brick(shared, &around, grid.core(number, &(z..end)))?;
+                    Some((number, brick))
+                })
+                .unzip()
         });
         bricks.iter().for_each(|b| found.sides.join(&b.sides));
+        indices.add(shared, z..end, &bricks)?;
         // Blocks of voxels end one plane above the image.
         let blocks = z..if end == depth {
             dims[2] as i32 + 1
@@ -260,6 +279,7 @@ pub(super) fn normals(
         let slab = NormalSlab {
             z: z..end,
             planes,
+            numbers,
             bricks,
             _grant: grant,
         };
@@ -274,6 +294,75 @@ pub(super) fn normals(
     Ok(found)
 }
 
+/// Memory of the indices of slabs, where only a part of what it can be at worst was planned.
+#[derive(Debug, Default)]
+struct Indices {
+    /// Of slabs that may be held: planes, bricks with surfels, bytes of their indices.
+    slabs: VecDeque<(Range<i32>, usize, u64)>,
+}
+
+impl Indices {
+    fn bytes(&self) -> u64 {
+        self.slabs.iter().map(|s| s.2).sum()
+    }
+
+    /// How many of the slabs are surely let go before the next one is computed.
+    fn released(&self, shared: &Shared<'_>) -> usize {
+        let oldest = (self.slabs.len() + 1).saturating_sub(SLABS_IN_FLIGHT as usize);
+        let Some(slab) = self.slabs.get(oldest) else {
+            return 0;
+        };
+        let from = slab.0.start - 2 * shared.plan.ball_reach[2];
+        self.slabs.partition_point(|s| s.0.end <= from)
+    }
+
+    /// Whether a slab of planes `z` fits, if every brick that can have surfels has some.
+    fn have_room(
+        &self,
+        shared: &Shared<'_>,
+        grid: &BrickGrid,
+        window: &PlaneWindow,
+        z: Range<i32>,
+    ) -> bool {
+        let Some(room) = shared.plan.index_bytes() else {
+            return true;
+        };
+        let size = [grid.edge, grid.edge, z.end - z.start];
+        let bricks = grid.occupied(window, z, shared.lattice.closed).len() as u64;
+        let held: u64 = self.slabs.range(self.released(shared)..).map(|s| s.2).sum();
+        held + bricks * SurfelIndex::most_bytes(size) <= room
+    }
+
+    /// Adds a slab; refuses it if those that may be held with it are too large together.
+    fn add(
+        &mut self,
+        shared: &Shared<'_>,
+        z: Range<i32>,
+        bricks: &[NormalBrick],
+    ) -> Result<(), Error> {
+        let plan = shared.plan;
+        let Some(room) = plan.index_bytes() else {
+            return Ok(());
+        };
+        self.slabs.drain(..self.released(shared));
+        let plane = z.start;
+        let bytes = bricks.iter().map(|brick| brick.index.bytes() as u64).sum();
+        self.slabs.push_back((z, bricks.len(), bytes));
+        let held = self.bytes();
+        if held <= room {
+            return Ok(());
+        }
+        let bricks: usize = self.slabs.iter().map(|s| s.1).sum();
+        Err(Error::TooScattered {
+            plane,
+            what: format!("{bricks} bricks have surfels that must be held at once"),
+            // A quarter of what the surfels are given is for indices, and half of what is added
+            // goes to bits and scratch at most.
+            needed_bytes: plan.memory_bytes + 8 * (held - room),
+        })
+    }
+}
+
 /// Chooses where the slab that begins at plane `z` ends, and counts its surfels.
 ///
 /// While this slab waits for memory, the stages below go on as far as the slabs before it let
@@ -283,8 +372,10 @@ pub(super) fn normals(
 /// chosen if the planes that must follow before *it* can be let go would fit too.
 fn choose_slab(
     shared: &Shared<'_>,
+    grid: &BrickGrid,
     arrived: &Arrived<'_>,
     slabs: &mut VecDeque<Range<i32>>,
+    indices: &Indices,
     z: i32,
 ) -> Result<(i32, u64), Error> {
     let depth = shared.lattice.cell_dims()[2];
@@ -321,7 +412,11 @@ fn choose_slab(
         let bytes = (held + own) * plan.surfel_bytes;
         let follow = arrived.surfels(end..(end + plan.planes_ahead()).min(depth));
         let fits = bytes <= room && rows <= room_of_rows;
-        if fits && (height == 1 || bytes + follow * plan.surfel_bytes <= room) {
+        let may_be_higher = || {
+            bytes + follow * plan.surfel_bytes <= room
+                && indices.have_room(shared, grid, &arrived.window, z..end)
+        };
+        if fits && (height == 1 || may_be_higher()) {
             return Ok((end, own));
         }
         if height == 1 {
@@ -338,16 +433,12 @@ fn choose_slab(
     }
 }
 
-fn normal_brick(shared: &Shared<'_>, around: &Around<'_>, core: CellBox) -> NormalBrick {
+/// The brick of these cells; `None` if it has no surfel, or nobody wants to know any more.
+fn normal_brick(shared: &Shared<'_>, around: &Around<'_>, core: CellBox) -> Option<NormalBrick> {
     let bits = BitBox::cut(around.bits, core.lo.map(|c| c - 1), core.hi.map(|c| c + 1));
-    let index = SurfelIndex::find(&bits, core, shared.lattice).compact();
+    let index = SurfelIndex::find(&bits, core, shared.lattice);
     if index.is_empty() || shared.stopped() {
-        return NormalBrick {
-            index,
-            u: vec![],
-            marks: vec![],
-            sides: Sides::default(),
-        };
+        return None;
     }
     let surfels = Surfels::list(&index, &bits);
     let normals = shared
@@ -362,12 +453,12 @@ fn normal_brick(shared: &Shared<'_>, around: &Around<'_>, core: CellBox) -> Norm
             (if degenerate { mark::DEGENERATE } else { 0 }) | (if cut { mark::CUT } else { 0 })
         })
         .collect();
-    NormalBrick {
+    Some(NormalBrick {
         index,
         u: normals.u,
         marks,
         sides: normals.sides,
-    }
+    })
 }
 
 /// What of the cells is evaluated, and how it is kept.
@@ -410,13 +501,12 @@ pub(super) fn cells(
         };
         let voxels = window.voxels(shared.lattice.dims);
         let evaluated: Vec<(CellMeasures, CellTotals)> = shared.pool.install(|| {
-            (0..grid.len())
-                .into_par_iter()
-                .map(|number| {
-                    let core = grid.core(number, &slab.z);
-                    if slab.index(number).is_empty() || shared.stopped() {
+            (slab.numbers.par_iter())
+                .map(|&number| {
+                    if shared.stopped() {
                         return Default::default();
                     }
+                    let core = grid.core(number, &slab.z);
                     measure_brick(shared, &grid, &window, &voxels, core)
                 })
                 .collect()
@@ -455,9 +545,9 @@ fn measure_brick(
     let surface = Surface::extract(voxels, around, shared.lattice, shared.settings.adjacency);
     let mut u = Vec::with_capacity(surface.len());
     let mut marks = Vec::with_capacity(surface.len());
-    window.for_each_run(grid, around, |slab, number, run| {
-        u.extend_from_slice(&slab.bricks[number].u[run.clone()]);
-        marks.extend_from_slice(&slab.bricks[number].marks[run]);
+    window.for_each_run(grid, around, |slab, at, run| {
+        u.extend_from_slice(&slab.bricks[at].u[run.clone()]);
+        marks.extend_from_slice(&slab.bricks[at].marks[run]);
     });
     assert_eq!(
         u.len(),
@@ -499,21 +589,22 @@ pub(super) fn sums(
         };
         let voxels = window.voxels(shared.lattice.dims);
         let rows: Vec<BrickRows> = shared.pool.install(|| {
-            (0..grid.len())
+            (0..slab.numbers().len())
                 .into_par_iter()
-                .map(|number| {
-                    if slab.index(number).is_empty() || shared.stopped() {
+                .map(|at| {
+                    if shared.stopped() {
                         return BrickRows::default();
                     }
-                    row_brick(shared, &grid, &window, &voxels, &slab, number)
+                    row_brick(shared, &grid, &window, &voxels, &slab, at)
                 })
                 .collect()
         });
         if shared.stopped() {
             return Err(Error::Stopped);
         }
+        let columns = columns_of(shared, &grid, slab.numbers());
         for plane in slab.z() {
-            if send_plane(shared, &grid, &window, &rows, plane, out).is_err() {
+            if send_plane(shared, &grid, &window, &rows, &columns, plane, out).is_err() {
                 return Err(Error::Stopped);
             }
         }
@@ -530,14 +621,14 @@ fn row_brick(
     window: &SlabWindow<MeasureSlab>,
     voxels: &PlaneWindow,
     slab: &MeasureSlab,
-    number: usize,
+    at: usize,
 ) -> BrickRows {
-    let core = grid.core(number, &slab.z());
-    let brick = &slab.normals.bricks[number];
+    let core = grid.core(slab.numbers()[at], &slab.z());
+    let brick = &slab.normals.bricks[at];
     if shared.settings.curvature == Method::Invariants {
         let bits = BitBox::cut(voxels, core.lo.map(|c| c - 1), core.hi.map(|c| c + 1));
         let surfels = Surfels::list(&brick.index, &bits);
-        let own = &slab.measures[number];
+        let own = &slab.measures[at];
         return BrickRows::by_invariants(shared, voxels, core, &surfels, &brick.u, own);
     }
     let around = core.grown(shared.plan.ball_reach, grid.cell_dims);
@@ -547,8 +638,8 @@ fn row_brick(
     if by_cells {
         gathered.owned_from.push([0, 0]);
     }
-    window.for_each_run(grid, around, |slab, number, run| {
-        let from = &slab.measures[number];
+    window.for_each_run(grid, around, |slab, at, run| {
+        let from = &slab.measures[at];
         gathered.marks.extend_from_slice(&from.marks[run.clone()]);
         if by_cells {
             gathered.mu0.extend_from_slice(&from.mu0[run.clone()]);
@@ -587,8 +678,44 @@ fn row_brick(
         &measures,
         core,
         &brick.u,
-        &slab.measures[number],
+        &slab.measures[at],
     )
+}
+
+/// The columns of parts that the bricks of a slab meet, in order, and the cells of each.
+fn columns_of(
+    shared: &Shared<'_>,
+    grid: &BrickGrid,
+    numbers: &[usize],
+) -> BTreeMap<[u32; 2], [Range<i32>; 2]> {
+    let edge = crate::sink::PART_EDGE as i32;
+    let last = Parts::new(shared.lattice.dims).columns().map(|n| n - 1);
+    let mut columns = BTreeMap::new();
+    for &number in numbers {
+        let core = grid.core(number, &(0..1));
+        // The last column takes the cells beyond the image, which own surfels of its border.
+        let [x, y] = [0, 1].map(|a| {
+            let of = |cell: i32| ((cell / edge) as u32).min(last[a]);
+            of(core.lo[a])..=of(core.hi[a] - 1)
+        });
+        for cy in y {
+            for cx in x.clone() {
+                columns.entry([cy, cx]).or_insert_with(|| {
+                    let column = [cx, cy];
+                    [0, 1].map(|a| {
+                        let lo = column[a] as i32 * edge;
+                        let past = if column[a] == last[a] {
+                            grid.cell_dims[a]
+                        } else {
+                            lo + edge
+                        };
+                        lo..past
+                    })
+                });
+            }
+        }
+    }
+    columns
 }
 
 /// Sends the rows of one plane of cells, column by column of the parts.
@@ -597,46 +724,28 @@ fn send_plane(
     grid: &BrickGrid,
     window: &SlabWindow<MeasureSlab>,
     computed: &[BrickRows],
+    columns: &BTreeMap<[u32; 2], [Range<i32>; 2]>,
     plane: i32,
     out: &Sender<Rows>,
 ) -> Result<(), ()> {
-    let parts = Parts::new(shared.lattice.dims);
-    let columns = parts.columns();
-    let edge = crate::sink::PART_EDGE as i32;
-    for cy in 0..columns[1] {
-        for cx in 0..columns[0] {
-            let column = [cx, cy];
-            // The last column takes the cells beyond the image, which own surfels of its border.
-            let bounds = |a: usize| {
-                let lo = column[a] as i32 * edge;
-                let hi = if column[a] + 1 == columns[a] {
-                    grid.cell_dims[a]
-                } else {
-                    lo + edge
-                };
-                (lo, hi)
-            };
-            let ((x0, x1), (y0, y1)) = (bounds(0), bounds(1));
-            let cells = CellBox {
-                lo: [x0, y0, plane],
-                hi: [x1, y1, plane + 1],
-            };
-            let mut runs = Vec::new();
-            window.for_each_run(grid, cells, |_, number, run| runs.push((number, run)));
-            let count = runs.iter().map(|(_, run)| run.len()).sum();
-            let mut batch = rows::empty_batch(shared, column, count);
-            for (number, run) in runs {
-                computed[number].append_to(&mut batch, run, shared);
-            }
-            let last_of_plane = cx + 1 == columns[0] && cy + 1 == columns[1];
-            out.send(Rows {
-                batch,
-                last_of_plane,
-            })
-            .map_err(|_| ())?;
+    for ([cy, cx], [x, y]) in columns {
+        let cells = CellBox {
+            lo: [x.start, y.start, plane],
+            hi: [x.end, y.end, plane + 1],
+        };
+        let mut runs = Vec::new();
+        window.for_each_run(grid, cells, |_, at, run| runs.push((at, run)));
+        if runs.is_empty() {
+            continue;
         }
+        let count = runs.iter().map(|(_, run)| run.len()).sum();
+        let mut batch = rows::empty_batch(shared, [*cx, *cy], count);
+        for (at, run) in runs {
+            computed[at].append_to(&mut batch, run, shared);
+        }
+        out.send(Rows::Batch(batch)).map_err(|_| ())?;
     }
-    Ok(())
+    out.send(Rows::Passed(plane + 1)).map_err(|_| ())
 }
 
 /// Last stage: hands the rows to the sinks.
@@ -646,23 +755,48 @@ pub(super) fn sink(
     sound: &Receiver<()>,
     sinks: &mut [&mut dyn SurfelSink],
 ) -> Result<(), Error> {
+    let parts = Parts::new(shared.lattice.dims);
+    // Columns with rows in a layer of parts. It is closed before the next one begins, so that only
+    // columns of one layer are open.
+    let mut open = BTreeSet::new();
+    let mut layer = 0;
     let mut planes = 0;
     while let Ok(rows) = input.recv() {
         if shared.stopped() {
             return Err(Error::Stopped);
         }
-        if !rows.batch.is_empty() {
-            for sink in sinks.iter_mut() {
-                sink.write(&rows.batch)?;
+        match rows {
+            Rows::Batch(batch) => {
+                open.insert(batch.column);
+                let more = (open.len() as u64).saturating_sub(shared.plan.open_columns);
+                if more > 0 {
+                    return Err(Error::TooScattered {
+                        plane: planes as i32,
+                        what: format!("{} columns of parts have rows", open.len()),
+                        needed_bytes: shared.plan.memory_bytes + 8 * more * COLUMN_BYTES,
+                    });
+                }
+                for sink in sinks.iter_mut() {
+                    sink.write(&batch)?;
+                }
+                shared
+                    .progress
+                    .rows_done
+                    .fetch_add(batch.len() as u64, Ordering::Relaxed);
             }
-        }
-        shared
-            .progress
-            .rows_done
-            .fetch_add(rows.batch.len() as u64, Ordering::Relaxed);
-        if rows.last_of_plane {
-            planes += 1;
-            shared.progress.planes_done.store(planes, Ordering::Relaxed);
+            Rows::Passed(plane) => {
+                planes = plane as u64;
+                shared.progress.planes_done.store(planes, Ordering::Relaxed);
+                let kz = 2 * plane;
+                if parts.layer_of(kz) > layer {
+                    layer = parts.layer_of(kz);
+                    for column in std::mem::take(&mut open) {
+                        for sink in sinks.iter_mut() {
+                            sink.advance(column, kz)?;
+                        }
+                    }
+                }
+            }
         }
     }
     if shared.stopped() || planes != shared.lattice.cell_dims()[2] as u64 {

@@ -21,7 +21,7 @@ use super::info::TableInfo;
 use super::output::{SURFELS_DIRECTORY, make_folder};
 use super::parquet::{Encoder, TableFormat};
 use super::parts::Parts;
-use super::run_record::{PartRecord, RunRecorder};
+use super::run_record::{PartRecord, RunRecorder, lists_empty_parts};
 use super::whole_file::{Digesting, WholeFile, checksum_of_file};
 
 const PARTS_BEFORE: &str = "the parts before it are complete";
@@ -85,10 +85,14 @@ impl DatasetSink {
                 recorder.forget(record.part);
             }
         }
-        let [columns_x, columns_y] = parts.columns();
-        let columns = (0..columns_y)
-            .flat_map(|y| (0..columns_x).map(move |x| ([x, y], ColumnState::default())))
-            .collect();
+        let columns = if lists_empty_parts(parts.count()) {
+            let [columns_x, columns_y] = parts.columns();
+            (0..columns_y)
+                .flat_map(|y| (0..columns_x).map(move |x| ([x, y], ColumnState::default())))
+                .collect()
+        } else {
+            BTreeMap::new()
+        };
         let order = OrderCheck::default();
         Ok(Self {
             folder,
@@ -188,12 +192,24 @@ impl DatasetSink {
 
     /// Finishes the layers of a column below `layer`, those without rows too.
     fn close_below(&mut self, column: [u32; 2], layer: u32) -> Result<(), SinkError> {
-        let Some(state) = self.columns.get_mut(&column) else {
+        let first = self.done.len();
+        self.close_files(column, layer)?;
+        match &self.recorder {
+            Some(recorder) => recorder.parts_done(self.done[first..].iter().cloned()),
+            None => Ok(()),
+        }
+    }
+
+    /// The same without a word to the recorder.
+    fn close_files(&mut self, column: [u32; 2], layer: u32) -> Result<(), SinkError> {
+        let columns = self.parts.columns();
+        if column[0] >= columns[0] || column[1] >= columns[1] {
             return Err(SinkError::Contract(format!(
                 "there is no column {column:?} of parts"
             )));
-        };
-        let first = self.done.len();
+        }
+        let with_empty = lists_empty_parts(self.parts.count());
+        let state = self.columns.entry(column).or_default();
         while state.layer < layer {
             let part = self.parts.index(state.layer, column);
             let open = state.open.take();
@@ -201,21 +217,19 @@ impl DatasetSink {
             if self.kept.contains(&part) {
                 continue;
             }
-            self.done.push(match open {
-                Some(open) => open.close(part)?,
-                None => PartRecord {
+            match open {
+                Some(open) => self.done.push(open.close(part)?),
+                None if with_empty => self.done.push(PartRecord {
                     part,
                     file: None,
                     rows: 0,
                     bytes: 0,
                     checksum: None,
-                },
-            });
+                }),
+                None => {}
+            }
         }
-        match &self.recorder {
-            Some(recorder) => recorder.parts_done(self.done[first..].iter().cloned()),
-            None => Ok(()),
-        }
+        Ok(())
     }
 }
 
@@ -247,9 +261,13 @@ impl SurfelSink for DatasetSink {
     fn finish(&mut self) -> Result<(), SinkError> {
         self.begin()?;
         let columns: Vec<_> = self.columns.keys().copied().collect();
-        columns
-            .into_iter()
-            .try_for_each(|column| self.close_below(column, self.parts.layers()))?;
+        let first = self.done.len();
+        for column in columns {
+            self.close_files(column, self.parts.layers())?;
+        }
+        if let Some(recorder) = &self.recorder {
+            recorder.parts_done(self.done[first..].iter().cloned())?;
+        }
         if self.done.iter().all(|record| record.file.is_none()) {
             // Without a surfel, one empty part still says which columns and units there would be.
             let path = self.folder.join(part_name(0));

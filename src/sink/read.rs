@@ -25,7 +25,7 @@ use super::faces::{FACES_FILE, RADIUS_KEY};
 use super::info::TableInfo;
 use super::output::{SUMMARY_FILE, SURFELS_DIRECTORY};
 use super::parts::Parts;
-use super::run_record::{RUN_FILE, RunRecord, RunState};
+use super::run_record::{RUN_FILE, RunRecord, RunState, lists_empty_parts};
 
 /// Rows of a batch that [`RowReader`] gives.
 const READ_ROWS: usize = 8192;
@@ -187,7 +187,10 @@ impl OutputInfo {
                 let why = run.message.as_deref().unwrap_or("no reason was recorded");
                 format!("the run failed ({why}): {parts}")
             }
-            RunState::Complete if run.parts.len() as u64 != run.parts_total => {
+            RunState::Complete
+                if run.parts.len() as u64 != run.parts_total
+                    && lists_empty_parts(run.parts_total) =>
+            {
                 format!("the run ended, yet {parts}")
             }
             RunState::Complete => return Ok(()),

@@ -50,6 +50,14 @@ pub struct PartRecord {
     pub checksum: Option<String>,
 }
 
+/// Whether the record of a run of so many parts lists those without rows.
+///
+/// More would make the record, which is written after each part, larger than the table of a sparse
+/// volume; its parts without rows are those that are not listed when the run is complete.
+pub(crate) fn lists_empty_parts(parts_total: u64) -> bool {
+    parts_total <= 1 << 16
+}
+
 /// The contents of `run.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RunRecord {
@@ -71,7 +79,7 @@ pub struct RunRecord {
     pub updated: u64,
     /// Parts of a whole run, with or without rows.
     pub parts_total: u64,
-    /// Finished parts, by index.
+    /// Finished parts, by index; of more than 65536 parts only those with rows.
     pub parts: Vec<PartRecord>,
 }
 

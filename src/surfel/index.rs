@@ -161,17 +161,6 @@ impl SurfelIndex {
         }
     }
 
-    /// The same index; without surfels it keeps no memory, and only [`Self::is_empty`] and
-    /// [`Self::cells`] may be asked of it.
-    #[must_use]
-    pub fn compact(mut self) -> Self {
-        if self.is_empty() {
-            self.words = Vec::new();
-            self.rank = vec![0];
-        }
-        self
-    }
-
     /// Number of surfels.
     #[inline]
     #[must_use]
@@ -195,6 +184,13 @@ impl SurfelIndex {
     #[must_use]
     pub fn bytes(&self) -> usize {
         self.words.len() * 8 + self.rank.len() * 4
+    }
+
+    /// Memory of an index of a box of cells, at most.
+    #[must_use]
+    pub fn most_bytes(size: [i32; 3]) -> u64 {
+        let rows = 3 * size[1] as u64 * size[2] as u64;
+        rows * (size[0] as u64).div_ceil(64) * 12 + 4
     }
 
     #[inline(always)]
@@ -307,19 +303,58 @@ impl SurfelIndex {
     /// Number of surfels in each plane of cells, without keeping an index: what a slab will cost.
     #[must_use]
     pub fn count_plane(window: &PlaneWindow, z: i32, lattice: &Lattice) -> u64 {
+        let mut count = 0;
+        let [x, y, _] = lattice.cell_dims();
+        let planes = z..z + 1;
+        window.rectangles(
+            [0; 2],
+            [x, y],
+            planes,
+            64,
+            lattice.closed,
+            &mut |lo, hi, known| {
+                if known.is_none() {
+                    count += Self::count_rows(window, lo, hi, z, lattice);
+                }
+            },
+        );
+        count
+    }
+
+    /// Surfels of the cells `lo <= c < hi` of a plane; `lo[0]` is a multiple of 64.
+    fn count_rows(
+        window: &PlaneWindow,
+        lo: [i32; 2],
+        hi: [i32; 2],
+        z: i32,
+        lattice: &Lattice,
+    ) -> u64 {
         let dims = lattice.dims.map(|n| n as i32);
-        let words = (dims[0] as usize).div_ceil(64);
-        let zero = vec![0u64; words];
+        // One word before, for its last voxel.
+        let skipped = usize::from(lo[0] > 0);
+        let first = lo[0] as usize / 64 - skipped;
+        let words = first..(hi[0] as usize).div_ceil(64);
+        let zero = vec![0u64; words.len()];
+        let mut buffers = [const { Vec::new() }; 3];
         let mut count = 0u64;
-        for y in -1..=dims[1] {
-            let here = window.row(y, z).unwrap_or(&zero);
-            let before = window.row(y - 1, z).unwrap_or(&zero);
-            let below = window.row(y, z - 1).unwrap_or(&zero);
+        for y in lo[1]..hi[1] {
+            let [b0, b1, b2] = &mut buffers;
+            let rows = [
+                window.span([y, z], words.clone(), b0),
+                window.span([y - 1, z], words.clone(), b1),
+                window.span([y, z - 1], words.clone(), b2),
+            ];
+            // Rows of the image have one length; beyond it there are none.
+            let held = rows.map(<[u64]>::len).into_iter().max().unwrap_or(0);
+            let [here, before, below] = rows.map(|r| if r.is_empty() { &zero[..held] } else { r });
             let along_y = lattice.closed || (1..dims[1]).contains(&y);
             let along_z =
                 (0..dims[1]).contains(&y) && (lattice.closed || (1..dims[2]).contains(&z));
             let mut carry = 0;
-            for w in 0..words {
+            if skipped == 1 && held > 0 {
+                carry = here[0] >> 63;
+            }
+            for w in skipped..held {
                 if along_z {
                     count += u64::from((here[w] ^ below[w]).count_ones());
                 }
@@ -328,15 +363,20 @@ impl SurfelIndex {
                 }
                 let mut along_x = here[w] ^ (here[w] << 1 | carry);
                 carry = here[w] >> 63;
-                if w == 0 && !lattice.closed {
-                    along_x &= !1;
-                }
-                if w + 1 == words && dims[0] % 64 != 0 && !lattice.closed {
-                    along_x &= low_bits((dims[0] % 64) as u32);
+                if !lattice.closed {
+                    // no surfel before the first voxel, none after the last
+                    let at = 64 * (first + w) as i32;
+                    if at == 0 {
+                        along_x &= !1;
+                    }
+                    if dims[0] - at < 64 {
+                        along_x &= low_bits((dims[0] - at) as u32);
+                    }
                 }
                 count += u64::from(along_x.count_ones());
             }
-            if lattice.closed && dims[0] % 64 == 0 {
+            // The surfel behind a row that ends with its last word.
+            if words.len() > held.max(skipped) {
                 count += carry;
             }
         }

@@ -1,54 +1,123 @@
 //! Voxels as bits: planes of the image, windows of planes, boxes cut out of a window.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use rayon::slice::ParallelSliceMut;
 
-/// One plane of the image, one bit a voxel, x fastest; each row starts on a word.
+use super::tiles::{Content, TileMap};
+
+/// One plane of the image, one bit a voxel, x fastest.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct BitPlane {
-    words: Vec<u64>,
-    words_per_row: usize,
+pub struct BitPlane(Held);
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Held {
+    /// All rows; each starts on a word, and bits past its last voxel are zero.
+    Rows {
+        words: Vec<u64>,
+        words_per_row: usize,
+    },
+    /// A word for each row of each tile that the map keeps.
+    Tiles { map: Arc<TileMap>, words: Vec<u64> },
 }
 
 impl BitPlane {
     /// A plane of `dims_x * dims_y` voxels, all outside.
     #[must_use]
     pub fn outside(dims_x: u32, dims_y: u32) -> Self {
+        let words = vec![0; (dims_x as usize).div_ceil(64) * dims_y as usize];
+        Self::from_rows(dims_x, words)
+    }
+
+    /// A plane from the words of its rows; bits past the last voxel of a row must be zero.
+    #[must_use]
+    pub fn from_rows(dims_x: u32, words: Vec<u64>) -> Self {
         let words_per_row = (dims_x as usize).div_ceil(64);
-        Self {
-            words: vec![0; words_per_row * dims_y as usize],
+        debug_assert!(words.len().is_multiple_of(words_per_row));
+        Self(Held::Rows {
+            words,
             words_per_row,
+        })
+    }
+
+    /// A plane in tiles, with a word for each row of each tile that is kept; bits beyond the image
+    /// are zero.
+    #[must_use]
+    pub fn tiled(map: Arc<TileMap>, words: Vec<u64>) -> Self {
+        debug_assert_eq!(words.len(), map.tiles() as usize * map.band());
+        Self(Held::Tiles { map, words })
+    }
+
+    /// The map of a plane in tiles.
+    fn map(&self) -> Option<&Arc<TileMap>> {
+        match &self.0 {
+            Held::Rows { .. } => None,
+            Held::Tiles { map, .. } => Some(map),
         }
     }
 
-    /// The words of row `y`; bits past the last voxel are zero.
+    /// The words `words` of row `y`, fewer where it ends; bits past the last voxel are zero.
     #[inline]
-    #[must_use]
-    pub fn row(&self, y: usize) -> &[u64] {
-        &self.words[y * self.words_per_row..(y + 1) * self.words_per_row]
+    fn span<'a>(&'a self, y: usize, words: Range<usize>, buffer: &'a mut Vec<u64>) -> &'a [u64] {
+        match &self.0 {
+            Held::Rows {
+                words: all,
+                words_per_row,
+            } => {
+                let row = &all[y * words_per_row..(y + 1) * words_per_row];
+                &row[words.start.min(row.len())..words.end.min(row.len())]
+            }
+            Held::Tiles { map, words: kept } => {
+                buffer.clear();
+                let (band, row) = (map.band(), map.row_in_tile(y));
+                for (tiles, content) in map.row(y as u32, words.start as u32..words.end as u32) {
+                    match content {
+                        Content::Uniform { inside: false, .. } => {
+                            buffer.resize(buffer.len() + tiles.len(), 0);
+                        }
+                        Content::Uniform { inside: true, .. } => {
+                            buffer.extend(tiles.map(|tile| map.mask(tile)));
+                        }
+                        Content::Tiles(first) => buffer.extend(
+                            (first as usize..first as usize + tiles.len())
+                                .map(|tile| kept[tile * band + row]),
+                        ),
+                    }
+                }
+                buffer
+            }
+        }
     }
 
-    /// All rows, to be filled in parallel; bits past the last voxel of a row must stay zero.
+    /// All rows of a plane that is not in tiles, to be filled in parallel; bits past the last voxel
+    /// of a row must stay zero.
+    ///
+    /// # Panics
+    /// If the plane is in tiles.
     pub fn par_rows_mut(&mut self) -> rayon::slice::ChunksExactMut<'_, u64> {
-        self.words.par_chunks_exact_mut(self.words_per_row)
+        let (words, words_per_row) = self.words_mut();
+        words.par_chunks_exact_mut(words_per_row)
     }
 
-    /// All rows, to be filled; bits past the last voxel of a row must stay zero.
+    /// All rows of a plane that is not in tiles, to be filled; bits past the last voxel of a row
+    /// must stay zero.
+    ///
+    /// # Panics
+    /// If the plane is in tiles.
     pub fn rows_mut(&mut self) -> std::slice::ChunksExactMut<'_, u64> {
-        self.words.chunks_exact_mut(self.words_per_row)
+        let (words, words_per_row) = self.words_mut();
+        words.chunks_exact_mut(words_per_row)
     }
 
-    /// Number of inside voxels.
-    #[must_use]
-    pub fn count_inside(&self) -> u64 {
-        self.words.iter().map(|w| u64::from(w.count_ones())).sum()
-    }
-
-    /// Memory of a plane.
-    #[must_use]
-    pub fn bytes(dims_x: u32, dims_y: u32) -> u64 {
-        u64::from(dims_x).div_ceil(64) * 8 * u64::from(dims_y)
+    fn words_mut(&mut self) -> (&mut [u64], usize) {
+        match &mut self.0 {
+            Held::Rows {
+                words,
+                words_per_row,
+            } => (words, *words_per_row),
+            Held::Tiles { .. } => panic!("a plane in tiles is made from its words"),
+        }
     }
 }
 
@@ -64,24 +133,129 @@ pub struct PlaneWindow {
 }
 
 impl PlaneWindow {
-    /// Row `y` of plane `z`; `None` where the image has ended.
+    /// The words `words` of row `y` of plane `z`, fewer or none where the image has ended. Of a
+    /// plane in tiles they are put together in `buffer`.
     ///
     /// # Panics
     /// If the plane is part of the image but not held: a stage declared too short a reach.
     #[inline]
     #[must_use]
-    pub fn row(&self, y: i32, z: i32) -> Option<&[u64]> {
+    pub fn span<'a>(
+        &'a self,
+        [y, z]: [i32; 2],
+        words: Range<usize>,
+        buffer: &'a mut Vec<u64>,
+    ) -> &'a [u64] {
         if y < 0 || z < 0 || y >= self.dims[1] as i32 || z >= self.dims[2] as i32 {
-            return None;
+            return &[];
         }
+        let plane = self.plane(z).expect("plane within the declared reach");
+        plane.span(y as usize, words, buffer)
+    }
+
+    fn plane(&self, z: i32) -> Option<&BitPlane> {
         let plane = usize::try_from(z - self.z0)
             .ok()
             .and_then(|i| self.planes.get(i));
-        Some(
-            plane
-                .expect("plane within the declared reach")
-                .row(y as usize),
-        )
+        plane.map(|plane| &**plane)
+    }
+
+    /// Whether voxel `p` is inside; none is beyond the image.
+    ///
+    /// # Panics
+    /// As [`Self::span`].
+    #[must_use]
+    pub fn inside(&self, p: [i32; 3]) -> bool {
+        let Ok(x) = usize::try_from(p[0]) else {
+            return false;
+        };
+        let mut buffer = Vec::new();
+        let word = self.span([p[1], p[2]], x / 64..x / 64 + 1, &mut buffer);
+        word.first().is_some_and(|word| word >> (x % 64) & 1 == 1)
+    }
+
+    /// Cuts the cells `lo <= c < hi` of the planes `z` into rectangles, each with what is known of
+    /// the voxels around its cells, before any is looked at: the voxels from one before the first
+    /// cell on, along each axis. `Some` says that they are all inside, or all outside. `None` says
+    /// nothing; of planes in tiles such a rectangle is one square of a grid of `grain` cells, which
+    /// begins at `lo`.
+    ///
+    /// Voxels beyond the image are outside with `border`, and otherwise left out.
+    pub fn rectangles(
+        &self,
+        lo: [i32; 2],
+        hi: [i32; 2],
+        z: Range<i32>,
+        grain: i32,
+        border: bool,
+        found: &mut impl FnMut([i32; 2], [i32; 2], Option<bool>),
+    ) {
+        let layers = self.layers(z.start - 1..z.end, border);
+        self.split(&layers, [lo, hi], grain, border, found);
+    }
+
+    /// What is known of the planes `z`; `None` if one is not in tiles.
+    fn layers(&self, z: Range<i32>, border: bool) -> Option<Layers<'_>> {
+        let held = z.start.max(0)..z.end.min(self.dims[2] as i32);
+        let mut maps: Vec<&TileMap> = Vec::new();
+        for at in held.clone() {
+            let map: &TileMap = self.plane(at)?.map()?;
+            if !maps.last().is_some_and(|last| std::ptr::eq(*last, map)) {
+                maps.push(map);
+            }
+        }
+        Some(Layers {
+            maps,
+            leaves: border && held != z,
+        })
+    }
+
+    fn split(
+        &self,
+        layers: &Option<Layers<'_>>,
+        [lo, hi]: [[i32; 2]; 2],
+        grain: i32,
+        border: bool,
+        found: &mut impl FnMut([i32; 2], [i32; 2], Option<bool>),
+    ) {
+        if lo[0] >= hi[0] || lo[1] >= hi[1] {
+            return;
+        }
+        let Some(known) = layers else {
+            return found(lo, hi, None);
+        };
+        if let Some(inside) = self.known(known, lo, hi, border) {
+            return found(lo, hi, Some(inside));
+        }
+        let squares = [0, 1].map(|a| (hi[a] - lo[a] - 1) / grain + 1);
+        let axis = usize::from(squares[1] > 1);
+        if squares[axis] == 1 {
+            return found(lo, hi, None);
+        }
+        let middle = lo[axis] + squares[axis] / 2 * grain;
+        let (mut to, mut from) = (hi, lo);
+        to[axis] = middle;
+        from[axis] = middle;
+        self.split(layers, [lo, to], grain, border, found);
+        self.split(layers, [from, hi], grain, border, found);
+    }
+
+    /// Whether all voxels around the cells `lo <= c < hi` are known to be inside, or outside.
+    fn known(&self, layers: &Layers<'_>, lo: [i32; 2], hi: [i32; 2], border: bool) -> Option<bool> {
+        let from = lo.map(|c| (c - 1).max(0));
+        let to = [0, 1].map(|a| hi[a].min(self.dims[a] as i32));
+        let leaves = (0..2).any(|a| from[a] != lo[a] - 1 || to[a] != hi[a]);
+        let mut all = (layers.leaves || border && leaves).then_some(false);
+        if from[0] < to[0] && from[1] < to[1] {
+            let [x, y] = [0, 1].map(|a| from[a] as u32..to[a] as u32);
+            for map in &layers.maps {
+                let here = map.known(&x, &y)?;
+                if *all.get_or_insert(here) != here {
+                    return None;
+                }
+            }
+        }
+        Some(all.unwrap_or(false))
     }
 
     /// The planes `z` in `range` that exist, as a window of their own.
@@ -96,6 +270,14 @@ impl PlaneWindow {
             planes: self.planes[(from - self.z0) as usize..(to - self.z0) as usize].to_vec(),
         }
     }
+}
+
+/// The maps of some planes.
+struct Layers<'a> {
+    /// Each once, as far as they follow each other.
+    maps: Vec<&'a TileMap>,
+    /// Whether planes beyond the image count, which are outside.
+    leaves: bool,
 }
 
 /// A box of voxels as bits, with the outside of the image filled with zeros.
@@ -115,19 +297,23 @@ impl BitBox {
         // One word more than the voxels need lets `bits` read two words without a test.
         let words_per_row = (size[0] as usize).div_ceil(64) + 1;
         let mut words = vec![0; words_per_row * (size[1] * size[2]) as usize];
+        let across = [lo[0], hi[0] + 63].map(|x| x.max(0) as usize / 64);
+        let base = across[0] as i32;
+        let mut buffer = Vec::new();
         for (row, out) in words.chunks_exact_mut(words_per_row).enumerate() {
             let y = lo[1] + row as i32 % size[1];
             let z = lo[2] + row as i32 / size[1];
-            let Some(source) = window.row(y, z) else {
+            let source = window.span([y, z], across[0]..across[1], &mut buffer);
+            if source.is_empty() {
                 continue;
-            };
+            }
             let last = words_per_row - 1;
             for (w, word) in out[..last].iter_mut().enumerate() {
                 let first = lo[0] + 64 * w as i32;
                 let at = first.div_euclid(64);
                 let shift = first.rem_euclid(64) as u32;
                 let fetch = |i: i32| {
-                    usize::try_from(i)
+                    usize::try_from(i - base)
                         .ok()
                         .and_then(|i| source.get(i))
                         .copied()

@@ -41,26 +41,83 @@ impl SolidCounts {
     /// `0 <= z <= dims[2]` they are those of the image.
     #[must_use]
     pub fn of_plane(window: &PlaneWindow, z: i32) -> Self {
-        let words = (window.dims[0] as usize) / 64 + 1;
-        let zero = vec![0u64; words];
-        let row = |y, z| window.row(y, z).unwrap_or(&zero);
         let mut counts = Self::default();
-        for y in 0..=window.dims[1] as i32 {
-            let rows = [row(y, z), row(y - 1, z), row(y, z - 1), row(y - 1, z - 1)];
-            let mut carry = [0u64; 4];
-            for w in 0..words {
+        let blocks = [0, 1].map(|a| window.dims[a] as i32 + 1);
+        let mut found = |lo: [i32; 2], hi: [i32; 2], known| match known {
+            Some(false) => {}
+            Some(true) => counts.add_solid(window.dims, lo, hi, z),
+            None => counts.add_rows(window, lo, hi, z),
+        };
+        window.rectangles([0; 2], blocks, z..z + 1, 64, false, &mut found);
+        counts
+    }
+
+    /// The blocks `lo <= c < hi` of plane `z` of an image of which all voxels there are inside.
+    fn add_solid(&mut self, dims: [u32; 3], lo: [i32; 2], hi: [i32; 2], z: i32) {
+        // Blocks along an axis of which only the second voxel is in the image, both, only the first.
+        let kinds = |lo: i32, hi: i32, dims: u32| {
+            let [first, last] = [lo == 0, hi > dims as i32].map(i64::from);
+            [first, i64::from(hi - lo) - first - last, last]
+        };
+        let along = [
+            kinds(lo[0], hi[0], dims[0]),
+            kinds(lo[1], hi[1], dims[1]),
+            kinds(z, z + 1, dims[2]),
+        ];
+        for n in 0..27 {
+            let kind = [n % 3, n / 3 % 3, n / 9];
+            let count: i64 = (0..3).map(|a| along[a][kind[a]]).product();
+            if count == 0 {
+                continue;
+            }
+            let [(x0, x1), (y0, y1), (z0, z1)] = kind.map(|kind| (kind > 0, kind < 2));
+            let rows = [y1 && z1, y0 && z1, y1 && z0, y0 && z0];
+            let mut one = Self::default();
+            one.add_word(
+                rows.map(|row| u64::from(row && x1)),
+                rows.map(|row| u64::from(row && x0)),
+            );
+            let times = count.unsigned_abs();
+            self.add(&Self {
+                voxels: one.voxels * times,
+                chi26: one.chi26 * count,
+                chi6: one.chi6 * count,
+                antipodal_inside: one.antipodal_inside * times,
+                antipodal_outside: one.antipodal_outside * times,
+            });
+        }
+    }
+
+    /// The blocks `lo <= c < hi` of plane `z`; `lo[0]` is a multiple of 64.
+    fn add_rows(&mut self, window: &PlaneWindow, lo: [i32; 2], hi: [i32; 2], z: i32) {
+        // One word before, for its last voxel.
+        let skipped = usize::from(lo[0] > 0);
+        let words = lo[0] as usize / 64 - skipped..(hi[0] as usize).div_ceil(64);
+        let mut buffers = [const { Vec::new() }; 4];
+        for y in lo[1]..hi[1] {
+            let [b0, b1, b2, b3] = &mut buffers;
+            let rows = [
+                window.span([y, z], words.clone(), b0),
+                window.span([y - 1, z], words.clone(), b1),
+                window.span([y, z - 1], words.clone(), b2),
+                window.span([y - 1, z - 1], words.clone(), b3),
+            ];
+            let mut carry = if skipped == 1 {
+                rows.map(|r| r.first().copied().unwrap_or(0) >> 63)
+            } else {
+                [0; 4]
+            };
+            for w in skipped..words.len() {
                 let here = rows.map(|r| r.get(w).copied().unwrap_or(0));
                 let before = [0, 1, 2, 3].map(|i| here[i] << 1 | carry[i]);
                 carry = here.map(|h| h >> 63);
                 if here == [0; 4] && before == [0; 4] || here == [!0; 4] && before == [!0; 4] {
-                    // all outside: nothing; all inside: 1 of each kind, which cancels
-                    counts.voxels += u64::from(here[0].count_ones());
+                    self.voxels += u64::from(here[0].count_ones());
                     continue;
                 }
-                counts.add_word(here, before);
+                self.add_word(here, before);
             }
         }
-        counts
     }
 
     /// `here` and `before` (one voxel less in x) of the rows (y, z), (y-1, z), (y, z-1), (y-1, z-1).

@@ -12,6 +12,8 @@ use std::sync::Arc;
 use curvox_formats::{ByteOrder, Header, Scaling, VoxelType};
 use half::f16;
 
+use super::tiles::{Content, TILE_WIDTH, TileMap};
+
 /// How stored bytes become values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ValueType {
@@ -71,6 +73,20 @@ impl ValueType {
     }
 }
 
+/// A plane of the image as stored.
+#[derive(Clone, Debug)]
+pub enum GreyPlane {
+    /// All rows, one after the other.
+    Rows(Vec<u8>),
+    /// The rows of each tile that the map keeps.
+    Tiles {
+        /// Which tiles those are, and the values of the others.
+        map: Arc<TileMap>,
+        /// [`TILE_WIDTH`] voxels for each row of each tile.
+        bytes: Vec<u8>,
+    },
+}
+
 /// Consecutive planes of the image as stored, shared.
 #[derive(Clone, Debug)]
 pub struct GreyWindow {
@@ -81,22 +97,50 @@ pub struct GreyWindow {
     /// What the bytes mean.
     pub values: ValueType,
     /// The planes held.
-    pub planes: Vec<Arc<Vec<u8>>>,
+    pub planes: Vec<Arc<GreyPlane>>,
 }
 
 impl GreyWindow {
-    /// The stored voxels `from..to` of row `y` of plane `z`.
+    /// Decodes the voxels of row `y` of plane `z` from `from` on, as many as `out` holds.
     ///
     /// # Panics
     /// If the plane is not held: a stage declared too short a reach.
-    fn row(&self, y: i32, z: i32, from: i32, to: i32) -> &[u8] {
+    fn decode(&self, y: i32, z: i32, from: i32, out: &mut [f64]) {
         let plane = usize::try_from(z - self.z0)
             .ok()
             .and_then(|i| self.planes.get(i))
             .expect("plane within the declared reach");
         let bytes = self.values.voxel.bytes();
-        let row = y as usize * self.dims[0] as usize;
-        &plane[(row + from as usize) * bytes..(row + to as usize) * bytes]
+        let (y, from) = (y as usize, from as usize);
+        match &**plane {
+            GreyPlane::Rows(stored) => {
+                let at = (y * self.dims[0] as usize + from) * bytes;
+                self.values.decode(&stored[at..at + out.len() * bytes], out);
+            }
+            GreyPlane::Tiles { map, bytes: kept } => {
+                let (width, band) = (TILE_WIDTH as usize, map.band());
+                let to = from + out.len();
+                let tiles = (from / width) as u32..to.div_ceil(width) as u32;
+                for (tiles, content) in map.row(y as u32, tiles) {
+                    for (i, tile) in tiles.enumerate() {
+                        let start = tile as usize * width;
+                        let x = start.max(from)..(start + width).min(to);
+                        let part = &mut out[x.start - from..x.end - from];
+                        match content {
+                            Content::Uniform { value, .. } => {
+                                self.values.decode(&value[..bytes], &mut part[..1]);
+                                part.fill(part[0]);
+                            }
+                            Content::Tiles(first) => {
+                                let row = (first as usize + i) * band + map.row_in_tile(y);
+                                let at = (row * width + x.start - start) * bytes;
+                                self.values.decode(&kept[at..at + part.len() * bytes], part);
+                            }
+                        }
+                    }
+                }
+            }
+        }
     }
 }
 
@@ -123,10 +167,9 @@ impl GreyBox {
             let z = (lo[2] + (row / size[1]) as i32).clamp(0, last[2]);
             let before = ((from - lo[0]).max(0) as usize).min(size[0] - 1);
             let within = ((to - from) as usize).min(size[0] - before);
-            let stored = window.row(y, z, from, to);
             let (left, rest) = out.split_at_mut(before);
             let (middle, right) = rest.split_at_mut(within);
-            window.values.decode(stored, middle);
+            window.decode(y, z, from, middle);
             left.fill(middle[0]);
             right.fill(middle[within - 1]);
         }
@@ -192,7 +235,7 @@ mod tests {
         let planes = (0..4)
             .map(|z| {
                 let plane = (0..15).map(|i| at(i % 5, i / 5, z)).collect();
-                Arc::new(plane)
+                Arc::new(GreyPlane::Rows(plane))
             })
             .collect();
         let window = GreyWindow {

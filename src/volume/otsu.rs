@@ -10,14 +10,21 @@
 //! value is in the upper class if it is **at or above** the threshold, which is the lowest value
 //! (of bins: the lower end of the lowest filled bin) of that class. Among equal splits the lowest is taken.
 //!
+//! A volume that is decoded in pieces is read piece by piece, and voxels that are known to be uniform
+//! are counted without being read.
+//!
 //! Guaranteed: the same numbers for any number of threads. Not guaranteed: digits of 64-bit
 //! integers beyond the 53 of a float. NaN and infinities are counted and otherwise left out.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use curvox_formats::{ByteOrder, Error, ErrorKind, Header, Volume, VoxelType};
+use curvox_formats::{
+    ByteOrder, Error, ErrorKind, Header, RandomVoxels, Region, Volume, VoxelType, Voxels,
+};
 use half::f16;
 use rayon::prelude::*;
+
+use super::tiles::{PieceGrid, TileMap};
 
 /// Bins of values that are not counted one by one. Fewer make the threshold coarse where a few
 /// outliers stretch the range.
@@ -200,13 +207,14 @@ impl Range {
         self.voxels - self.nan - self.infinite
     }
 
-    fn see(&mut self, value: f64) -> bool {
-        self.voxels += 1;
+    /// Adds voxels of one value; tells whether that is finite.
+    fn see(&mut self, value: f64, count: u64) -> bool {
+        self.voxels += count;
         if !value.is_finite() {
             if value.is_nan() {
-                self.nan += 1;
+                self.nan += count;
             } else {
-                self.infinite += 1;
+                self.infinite += count;
             }
             return false;
         }
@@ -216,7 +224,7 @@ impl Range {
         if self.max.is_none_or(|max| value > max) {
             self.max = Some(value);
         }
-        self.sum += value;
+        self.sum += value * count as f64;
         true
     }
 
@@ -236,47 +244,156 @@ impl Range {
     }
 }
 
+/// A pass over all voxels.
+struct Scan<'a> {
+    header: Header,
+    bins: Option<&'a mut Bins>,
+    range: Range,
+}
+
 /// One pass over all voxels.
-fn scan(volume: Volume, mut bins: Option<&mut Bins>, stop: &AtomicBool) -> Result<Range, Error> {
+fn scan(volume: Volume, bins: Option<&mut Bins>, stop: &AtomicBool) -> Result<Range, Error> {
     let header = volume.header.clone();
     let name = volume.source.name.clone();
-    let plane_bytes = header.plane_bytes().unwrap_or(u64::MAX).max(1);
+    let stopped = || {
+        if stop.load(Ordering::Relaxed) {
+            return Err(Error::new(ErrorKind::Cancelled, &name, "interrupted"));
+        }
+        Ok(())
+    };
+    let mut scan = Scan {
+        header,
+        bins,
+        range: Range::default(),
+    };
+    if let Voxels::Random(voxels) = &volume.voxels
+        && let Some(pieces) = PieceGrid::of(voxels.as_ref())
+    {
+        scan.pieces(voxels.as_ref(), &pieces, stopped)?;
+        voxels.check()?;
+        return Ok(scan.range);
+    }
+    let plane_bytes = scan.header.plane_bytes().unwrap_or(u64::MAX).max(1);
     let planes = (READ_BYTES / plane_bytes).max(1);
     let mut forward = volume.into_forward();
     let mut buffer = Vec::new();
-    let mut range = Range::default();
     while forward.read_planes(planes, &mut buffer)? > 0 {
-        if stop.load(Ordering::Relaxed) {
-            return Err(Error::new(ErrorKind::Cancelled, name, "interrupted"));
-        }
-        let counting = bins.as_deref();
-        let seen: Vec<(Range, Vec<u32>)> = buffer
-            .par_chunks(TASK_VOXELS * header.voxel.bytes())
-            .map(|chunk| {
-                let mut range = Range::default();
-                // A task counts fewer than 2^32 voxels.
-                let mut counts = vec![0u32; counting.map_or(0, |b| b.counts.len())];
-                for_each_value(&header, chunk, |value| {
-                    if range.see(value)
-                        && let Some(bins) = counting
-                    {
-                        counts[bins.bin(value)] += 1;
-                    }
-                });
-                (range, counts)
-            })
+        stopped()?;
+        let seen: Vec<_> = buffer
+            .par_chunks(TASK_VOXELS * scan.header.voxel.bytes())
+            .map(|chunk| scan.see(chunk))
             .collect();
+        scan.add(seen);
+    }
+    forward.finish()?;
+    Ok(scan.range)
+}
+
+impl Scan<'_> {
+    /// The values of some voxels, fewer than 2^32, and how many are in each bin.
+    fn see(&self, stored: &[u8]) -> (Range, Vec<u32>) {
+        let counting = self.bins.as_deref();
+        let mut range = Range::default();
+        let mut counts = vec![0u32; counting.map_or(0, |b| b.counts.len())];
+        for_each_value(&self.header, stored, |value| {
+            if range.see(value, 1)
+                && let Some(bins) = counting
+            {
+                counts[bins.bin(value)] += 1;
+            }
+        });
+        (range, counts)
+    }
+
+    fn add(&mut self, seen: Vec<(Range, Vec<u32>)>) {
         for (of_chunk, counts) in seen {
-            range.add(&of_chunk);
-            if let Some(bins) = bins.as_deref_mut() {
+            self.range.add(&of_chunk);
+            if let Some(bins) = self.bins.as_deref_mut() {
                 for (sum, n) in bins.counts.iter_mut().zip(counts) {
                     *sum += u64::from(n);
                 }
             }
         }
     }
-    forward.finish()?;
-    Ok(range)
+
+    /// All voxels of a volume that is decoded in pieces, each decoded once as far as layers of them
+    /// go; those that are known to be uniform are counted without being read.
+    fn pieces(
+        &mut self,
+        voxels: &dyn RandomVoxels,
+        pieces: &PieceGrid,
+        stopped: impl Fn() -> Result<(), Error>,
+    ) -> Result<(), Error> {
+        /// Boxes at once; each holds its own counts.
+        const BOXES: usize = 64;
+        let dims = self.header.dims;
+        let voxel_bytes = self.header.voxel.bytes() as u64;
+        let [Ok(x), Ok(y), Ok(depth)] = dims.map(u32::try_from) else {
+            return Err(Error::unsupported(
+                "the image",
+                "an extent beyond 2^32 voxels",
+            ));
+        };
+        let band = pieces.band_rows(dims);
+        let piece = pieces.shape;
+        // Large thin pieces, such as slices, are not read several at a time.
+        let narrowest = band.saturating_mul(piece[0].min(dims[0])) * voxel_bytes;
+        let planes = match pieces.tiled_planes() {
+            planes if narrowest.saturating_mul(planes) > READ_BYTES => planes.min(piece[2]),
+            planes => planes,
+        };
+        let mut z = 0;
+        while z < dims[2] {
+            let end = pieces.step_end(2, z, planes).min(dims[2]);
+            let uniform = |region: &Region| voxels.uniform(region);
+            let map = TileMap::find([x, y, depth], pieces, z..end, uniform, |_| false);
+            for (count, value) in map.uniform() {
+                let header = self.header.clone();
+                for_each_value(&header, &value[..voxel_bytes as usize], |value| {
+                    let count = count * (end - z);
+                    if self.range.see(value, count)
+                        && let Some(bins) = self.bins.as_deref_mut()
+                    {
+                        let bin = bins.bin(value);
+                        bins.counts[bin] += count;
+                    }
+                });
+            }
+            // Pieces that follow each other, as many as are worth a read.
+            let column_bytes = band * (end - z) * voxel_bytes;
+            let across = (READ_BYTES / (column_bytes * piece[0].min(dims[0])).max(1)).max(1);
+            let wide = piece[0].saturating_mul(across);
+            let mut boxes = Vec::new();
+            for kept in map.kept() {
+                for columns in kept.columns {
+                    let mut from = u64::from(columns.start);
+                    while from < columns.end.into() {
+                        let to = pieces.step_end(0, from, wide).min(columns.end.into());
+                        let rows = u64::from(kept.rows.start)..u64::from(kept.rows.end);
+                        boxes.push(Region {
+                            origin: [from, rows.start, z],
+                            size: [to - from, rows.end - rows.start, end - z],
+                        });
+                        from = to;
+                    }
+                }
+            }
+            for some in boxes.chunks(BOXES) {
+                stopped()?;
+                let seen: Vec<_> = some
+                    .par_iter()
+                    .map_init(Vec::new, |buffer, region| {
+                        voxels.read_box(region, buffer)?;
+                        Ok(self.see(buffer))
+                    })
+                    .collect::<Result<_, Error>>()?;
+                self.add(seen);
+            }
+            voxels.release(end);
+            z = end;
+        }
+        Ok(())
+    }
 }
 
 /// Calls `see` with each stored value, in order.

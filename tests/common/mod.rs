@@ -1,3 +1,5 @@
+pub(crate) mod pieces;
+
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -9,7 +11,7 @@ use curvox::measure::cells::{Asked, CellTotals, mark};
 use curvox::measure::evaluate;
 use curvox::measure::surface::Surface;
 use curvox::normal::{Around, NormalKernel};
-use curvox::pipeline::{Outcome, Progress, Settings, Source, run};
+use curvox::pipeline::{Access, Outcome, Progress, Settings, Source, run};
 use curvox::sink::{SinkError, SurfelBatch, SurfelSink};
 use curvox::surfel::CellBox;
 use curvox::volume::{Binarizer, BitPlane, Criterion, PlaneWindow, SolidCounts};
@@ -263,7 +265,7 @@ pub(crate) fn source(solid: &Solid) -> Source {
 
 /// Runs the pipeline on a solid.
 pub(crate) fn tried(solid: &Solid, settings: &Settings) -> Result<(SurfelBatch, Outcome), Error> {
-    let plan = settings.plan(1, true, 0)?;
+    let plan = settings.plan(&Access::forward(1), 0)?;
     let mut rows = Collected::default();
     let outcome = run(
         source(solid),

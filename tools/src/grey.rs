@@ -19,7 +19,7 @@ use anyhow::{Context, Result};
 use clap::Args;
 use curvox::lattice::Lattice;
 use curvox::normal::{Estimator, Orientation};
-use curvox::pipeline::{Progress, Settings, Source, run};
+use curvox::pipeline::{Access, Progress, Settings, Source, run};
 use curvox::shape::{
     BoxedShape, Digitisation, GreyPlanes, Grid, Scanner, SurfaceTruth, by_spec, closest_point,
 };
@@ -219,7 +219,7 @@ impl Scan {
         settings.radii = vec![radius];
         let criterion = Criterion::AtLeast(HALF.into());
         let binarizer = Binarizer::new(criterion, header.voxel, header.byte_order, None);
-        let plan = settings.plan(2, true, 0)?;
+        let plan = settings.plan(&Access::forward(2), 0)?;
         let mut rows = Rows::default();
         run(
             Source { volume, binarizer },

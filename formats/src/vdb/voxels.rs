@@ -454,10 +454,14 @@ impl RandomVoxels for VdbVoxels {
         self.file.check()
     }
 
-    /// Leaves, where the volume begins with one.
+    /// Leaves.
     fn chunk(&self) -> Option<[u64; 3]> {
-        let aligned = self.first.iter().all(|i| i % (1 << LOWER_CELL_LOG2) == 0);
-        aligned.then_some([1 << LOWER_CELL_LOG2; 3])
+        Some([1 << LOWER_CELL_LOG2; 3])
+    }
+
+    fn chunk_start(&self) -> [u64; 3] {
+        self.first
+            .map(|i| i.rem_euclid(1 << LOWER_CELL_LOG2).unsigned_abs())
     }
 
     /// Leaves of a plane lie all over the file, so all of it is given back.

@@ -191,6 +191,13 @@ impl SliceSink {
         })
     }
 
+    /// Width and height of the slices across an axis.
+    #[must_use]
+    pub fn size(dims: [u32; 3], axis: usize) -> [u32; 2] {
+        let (width, height) = frame_size(dims, axis);
+        [width, height]
+    }
+
     /// The file name of a slice.
     #[must_use]
     pub fn file_name(axis: usize, index: u32) -> String {
