@@ -235,7 +235,8 @@ fn choose(input: &mut Input, context: &Context<'_>) -> Result<&'static Entry, Er
         (Some(format), _) => format,
         // A layout given for a file that has its own would read the header as voxels.
         (None, Some(_)) => match detect(input, context) {
-            Ok(found) => {
+            // Some formats have hardly a mark, which any voxels may happen to have.
+            Ok(found) if !registry::is_weakly_marked(found) => {
                 return Err(Error::unsupported(
                     context.name,
                     format!(
@@ -244,7 +245,7 @@ fn choose(input: &mut Input, context: &Context<'_>) -> Result<&'static Entry, Er
                     ),
                 ));
             }
-            Err(_) => Format::Raw,
+            _ => Format::Raw,
         },
         (None, None) => detect(input, context)?,
     };

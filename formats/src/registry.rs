@@ -460,6 +460,12 @@ pub(crate) static READERS: &[Entry] = &[
     },
 ];
 
+/// Whether a format is recognised by plausible numbers rather than by a mark of its own, so that
+/// a layout given by the caller counts more.
+pub(crate) fn is_weakly_marked(format: Format) -> bool {
+    matches!(format, Format::Analyze | Format::Mgh | Format::Mrc)
+}
+
 /// A format whose volumes are folders.
 pub(crate) struct Folder {
     pub(crate) format: Format,

@@ -398,9 +398,9 @@ fn the_format_can_be_forced_but_not_against_the_content() {
 #[test]
 fn other_formats_are_refused_by_name() {
     for (bytes, name) in [
-        (&b"II*\0\x08\0\0\0"[..], "TIFF"),
-        (b"\x89HDF\r\n\x1a\n", "HDF5"),
-        (b"PK\x03\x04rest", "zip"),
+        (&b"<VTKFile type=\"ImageData\">"[..], "VTK XML"),
+        (b"CDF\x01rest", "NetCDF"),
+        (b"\xfd7zXZ\0rest", "xz"),
         (b"P2-3D\n9 9 9\n", "PGM3D"),
         (b"Please read me", "not recognised"),
         (b"short", "not recognised"),

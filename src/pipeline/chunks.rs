@@ -54,7 +54,7 @@ pub(super) struct Reading {
 
 impl ChunkPlan {
     /// The plan for layers of some planes.
-    pub(super) fn new(
+    pub(super) fn reading(
         access: &Access,
         pieces: PieceGrid,
         dims: [u64; 3],

@@ -147,7 +147,7 @@ impl<'a> LayerReader<'a> {
                 tasks.push(Task {
                     z: from..to,
                     rows: y..end,
-                    columns: vec![0..dims_x],
+                    columns: std::iter::once(0..dims_x).collect(),
                     words: words
                         .iter_mut()
                         .map(|p| take(p, rows * row_words))

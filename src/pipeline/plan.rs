@@ -290,8 +290,9 @@ impl Plan {
         };
         // The first layer that takes a third of the memory at most, or the thinnest.
         let reading = access.pieces.and_then(|pieces| {
-            let planes =
-                |n: u64| ChunkPlan::new(access, pieces, [x, y, z], n, request.threads, after_fixed);
+            let planes = |n: u64| {
+                ChunkPlan::reading(access, pieces, [x, y, z], n, request.threads, after_fixed)
+            };
             let mut last = None;
             for height in ChunkPlan::heights(access, pieces, z, read_planes) {
                 let reading = planes(height);

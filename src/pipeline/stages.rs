@@ -60,7 +60,7 @@ pub(super) struct MeasureSlab {
 /// What goes to the sinks.
 pub(super) enum Rows {
     /// Rows of one plane of cells and column of parts.
-    Batch(SurfelBatch),
+    Batch(Box<SurfelBatch>),
     /// All rows below this plane of cells have been sent.
     Passed(i32),
 }
@@ -743,7 +743,7 @@ fn send_plane(
         for (at, run) in runs {
             computed[at].append_to(&mut batch, run, shared);
         }
-        out.send(Rows::Batch(batch)).map_err(|_| ())?;
+        out.send(Rows::Batch(Box::new(batch))).map_err(|_| ())?;
     }
     out.send(Rows::Passed(plane + 1)).map_err(|_| ())
 }
