@@ -142,3 +142,115 @@ fn speed() {
         }
     }
 }
+
+/// Bytes that are not zero: something that looks at every byte.
+fn count(bytes: &[u8]) -> usize {
+    bytes
+        .chunks(255)
+        .map(|run| usize::from(run.iter().fold(0_u8, |n, b| n + u8::from(*b != 0))))
+        .sum()
+}
+
+/// Plain files, mapped and read at offsets, against `read(2)` of the same bytes, in wall time from
+/// the page cache. All look at every byte.
+#[cfg(unix)]
+#[test]
+#[ignore = "figures, not a check"]
+fn speed_of_plain_files_against_a_read() {
+    use std::io::Read;
+    use std::time::Instant;
+
+    const EDGE: usize = 640;
+    const ROUNDS: usize = 9;
+    let folder = Folder::new();
+    let voxels = scan(EDGE as u64);
+    let nrrd = format!(
+        "NRRD0004\ntype: uint8\ndimension: 3\nsizes: {EDGE} {EDGE} {EDGE}\nencoding: raw\n\n"
+    );
+    let mut mrc = vec![0; 1024];
+    for (word, value) in [
+        (0, EDGE as i32),
+        (1, EDGE as i32),
+        (2, EDGE as i32),
+        (3, 0),
+        (7, EDGE as i32),
+        (8, EDGE as i32),
+        (9, EDGE as i32),
+        (16, 1),
+        (17, 2),
+        (18, 3),
+    ] {
+        mrc[4 * word..4 * word + 4].copy_from_slice(&i32::to_le_bytes(value));
+    }
+    mrc[208..212].copy_from_slice(b"MAP ");
+    mrc[212..214].copy_from_slice(&[0x44, 0x44]);
+    let nifti = crate::support::Nifti::new(1, [EDGE as u64; 3], DType::little(VoxelType::U8));
+    let files = [
+        ("raw", voxels.clone()),
+        ("nifti", nifti.file(&voxels)),
+        ("mrc", [&mrc[..], &voxels].concat()),
+        ("nrrd", [nrrd.as_bytes(), &voxels].concat()),
+    ];
+    let raw = crate::support::raw_options([EDGE as u64; 3], DType::little(VoxelType::U8));
+    let median = |mut times: Vec<f64>| {
+        times.sort_by(f64::total_cmp);
+        times[times.len() / 2]
+    };
+    for (name, bytes) in &files {
+        let path = folder.write(name, bytes);
+        let mut times = [const { Vec::new() }; 3];
+        for _ in 0..ROUNDS {
+            let begin = Instant::now();
+            let mut file = std::fs::File::open(&path).unwrap();
+            let mut buffer = vec![0; 4 << 20];
+            let mut expected = 0;
+            loop {
+                let n = file.read(&mut buffer).unwrap();
+                if n == 0 {
+                    break;
+                }
+                expected += count(&buffer[..n]);
+            }
+            times[0].push(begin.elapsed().as_secs_f64());
+            for (times, io) in times[1..].iter_mut().zip([IoMode::Map, IoMode::Read]) {
+                let base = if *name == "raw" {
+                    raw.clone()
+                } else {
+                    OpenOptions::default()
+                };
+                let begin = Instant::now();
+                let volume = open(&path, &OpenOptions { io, ..base }).unwrap();
+                let depth = volume.header.dims[2];
+                let Voxels::Random(voxels) = volume.voxels else {
+                    panic!("{name} runs forward only");
+                };
+                let (mut found, mut buffer) = (0, Vec::new());
+                for z in (0..depth).step_by(10) {
+                    let planes = 10.min(depth - z);
+                    if let Some(bytes) = voxels.planes(z, planes).unwrap() {
+                        found += count(bytes);
+                    } else {
+                        let region = Region {
+                            origin: [0, 0, z],
+                            size: [EDGE as u64, EDGE as u64, planes],
+                        };
+                        voxels.read_box(&region, &mut buffer).unwrap();
+                        found += count(&buffer);
+                    }
+                    voxels.release(z + planes);
+                }
+                voxels.check().unwrap();
+                times.push(begin.elapsed().as_secs_f64());
+                // The header is looked at by the read alone.
+                assert!(found.abs_diff(expected) <= 2048);
+            }
+        }
+        let [read, mapped, offsets] = times.map(median);
+        println!(
+            "{name:<6} read(2) {:.3} s, mapped {:.2}, at offsets {:.2} times as long",
+            read,
+            mapped / read,
+            offsets / read
+        );
+    }
+}
