@@ -13,7 +13,7 @@ pub(super) fn verdict(rows: &[Row]) -> String {
         .iter()
         .filter_map(|(_, outcome)| match outcome {
             Outcome::Read(facts) => Some(&**facts),
-            Outcome::Refused(_) => None,
+            Outcome::Refused(_) | Outcome::Large(_) => None,
         })
         .collect();
     let count = |of: &dyn Fn(&Facts) -> Option<bool>| {
@@ -21,12 +21,17 @@ pub(super) fn verdict(rows: &[Row]) -> String {
         let right = known.iter().filter(|right| **right).count();
         format!("{right} of {}", known.len())
     };
+    let large = rows
+        .iter()
+        .filter(|(_, outcome)| matches!(outcome, Outcome::Large(_)))
+        .count();
     format!(
-        "{} entries: {} read, {} refused. Voxels right: {} whose voxels are known from elsewhere. \
+        "{} entries: {} read, {} too large to be read whole here, {} refused. Voxels right: {} whose voxels are known from elsewhere. \
          Spacing right: {}. The same from a pipe: {}. The same by boxes: {}.",
         rows.len(),
         read.len(),
-        rows.len() - read.len(),
+        large,
+        rows.len() - read.len() - large,
         count(&|f| f.voxels_right),
         count(&|f| f.spacing_right),
         count(&|f| f.forward.as_ref().ok().copied()),
@@ -68,6 +73,16 @@ pub(super) fn page(rows: &[Row], parts: &[String]) -> String {
                     page,
                     "| {name} | refused: {} {gap}| {note} |",
                     plain(message)
+                )
+            }
+            Outcome::Large(header) => {
+                let [x, y, z] = header.dims;
+                let gap = "| ".repeat(8);
+                writeln!(
+                    page,
+                    "| {name} | {} | {x} x {y} x {z} | too large to be read whole here {gap}| {} |",
+                    header.format,
+                    plain(&entry.note)
                 )
             }
             Outcome::Read(facts) => {

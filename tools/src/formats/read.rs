@@ -18,6 +18,8 @@ use super::list::{Entry, Expected};
 pub(super) enum Outcome {
     /// Refused, with the message.
     Refused(String),
+    /// Opened, but too large to be read whole.
+    Large(Box<Header>),
     /// Read.
     Read(Box<Facts>),
 }
@@ -41,6 +43,13 @@ pub(super) struct Facts {
 
 /// Reads an entry in every way there is.
 pub(super) fn read(data: &Path, entry: &Entry, repeat: usize) -> Outcome {
+    /// Held several times over while it is compared.
+    const MOST_BYTES: u64 = 2 << 30;
+    if let Ok(volume) = open(&data.join(&entry.path), &options(entry))
+        && volume.header.voxels_bytes().is_none_or(|n| n > MOST_BYTES)
+    {
+        return Outcome::Large(Box::new(volume.header));
+    }
     match try_read(data, entry, repeat) {
         Ok(facts) => Outcome::Read(Box::new(facts)),
         Err(error) => {
@@ -262,13 +271,19 @@ fn cast(header: &Header, voxels: &[u8], wanted: VoxelType) -> Vec<u8> {
         .collect()
 }
 
+/// Whether the spacing is the one expected, in the unit of the file or in millimetres.
 fn spacing_right(expected: &Expected, header: &Header) -> Option<bool> {
     Some(match (expected.spacing?, header.spacing) {
         (None, None) => true,
-        (Some(expected), Some(found)) => (0..3).all(|a| {
-            let expected = f64::abs(expected[a]);
-            (found[a] - expected).abs() <= 1e-5 * expected
-        }),
+        (Some(expected), Some(found)) => {
+            let millimetres = header.unit.metres().map_or(1.0, |metres| metres * 1e3);
+            [1.0, millimetres].into_iter().any(|unit| {
+                (0..3).all(|a| {
+                    let expected = f64::abs(expected[a]);
+                    (found[a] * unit - expected).abs() <= 1e-5 * expected
+                })
+            })
+        }
         _ => false,
     })
 }
