@@ -212,18 +212,23 @@ impl InputArgs {
         };
         if let Some(Spacing { edges, unit }) = self.spacing {
             let header = &mut volume.header;
-            if header.origin != [0.0; 3] && header.unit != unit {
+            // What the file has at index 0 stays there; a region moves with the size of voxels.
+            let mut origin = header.index_origin();
+            if origin != [0.0; 3] && header.unit != unit {
                 if let Some(ratio) = lengths::ratio(header.unit, unit) {
-                    header.origin = header.origin.map(|c| c * ratio);
+                    origin = origin.map(|c| c * ratio);
                 } else {
-                    header.origin = [0.0; 3];
+                    origin = [0.0; 3];
                     header.warnings.push(
                         "the origin is in another unit than --spacing and was set to 0".into(),
                     );
                 }
             }
-            header.spacing = Some(edges);
-            header.unit = unit;
+            if header.spacing != Some(edges) || header.unit != unit {
+                header.spacing = Some(edges);
+                header.unit = unit;
+                header.set_index_origin(origin);
+            }
         }
         Ok(volume)
     }
@@ -305,7 +310,7 @@ impl CriterionArgs {
                     format!(
                         "\n\nTo see the values in the image, and the threshold of Otsu:\n  \
                          curvox info --values {}",
-                        input.input.display()
+                        input.name()
                     )
                 };
                 Err(usage(format!(
