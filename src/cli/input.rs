@@ -1,5 +1,6 @@
 //! The input: which file, how it is read, which voxels are inside.
 
+use std::ffi::OsStr;
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 
@@ -360,8 +361,31 @@ pub(crate) fn unit_name(volume: &Volume) -> &'static str {
     }
 }
 
+/// An argument of the command line for a record: an address without what may be secret.
+pub(crate) fn shown(argument: &OsStr) -> String {
+    let text = argument.to_string_lossy();
+    if is_url(&text) {
+        url_name(&text)
+    } else {
+        text.into_owned()
+    }
+}
+
 /// The modification time of a file, in seconds since 1970.
 pub(crate) fn modified(path: &Path) -> Option<u64> {
     let time = std::fs::metadata(path).ok()?.modified().ok()?;
     Some(time.duration_since(std::time::UNIX_EPOCH).ok()?.as_secs())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn arguments_are_recorded_without_the_query_of_an_address() {
+        let of = |argument: &str| shown(OsStr::new(argument));
+        assert_eq!(of("https://h/a.zarr?token=geheim"), "https://h/a.zarr");
+        assert_eq!(of("--dataset"), "--dataset");
+        assert_eq!(of("what?.tif"), "what?.tif");
+    }
 }
