@@ -176,20 +176,23 @@ struct ForwardCrop {
 }
 
 impl ForwardCrop {
-    /// Reads planes of the whole and drops them.
-    fn skip_to(&mut self, z: u64) -> Result<(), Error> {
-        /// Enough to be worth a call, without much memory.
+    /// Reads some planes of the whole, up to plane `z`, and gives their number. However small the
+    /// region is, no more is held than is worth a call, or one plane.
+    fn step_to(&mut self, z: u64) -> Result<u64, Error> {
         const STEP_BYTES: u64 = 4 << 20;
         let plane = (self.dims[0] * self.dims[1] * self.voxel_bytes as u64).max(1);
-        let step = (STEP_BYTES / plane).max(1);
-        while self.read < z {
-            let count = step.min(z - self.read);
-            let found = self.voxels.read_planes(count, &mut self.planes)?;
-            if found == 0 {
-                break;
-            }
-            self.read += found;
+        let count = (STEP_BYTES / plane).max(1).min(z.saturating_sub(self.read));
+        if count == 0 {
+            return Ok(0);
         }
+        let found = self.voxels.read_planes(count, &mut self.planes)?;
+        self.read += found;
+        Ok(found)
+    }
+
+    /// Reads planes of the whole and drops them.
+    fn skip_to(&mut self, z: u64) -> Result<(), Error> {
+        while self.step_to(z)? > 0 {}
         Ok(())
     }
 }
@@ -199,22 +202,24 @@ impl ForwardVoxels for ForwardCrop {
         out.clear();
         let (first, [_, ny, nz]) = (self.region.origin, self.region.size);
         self.skip_to(first[2])?;
-        let count = count.min(first[2] + nz - self.read.min(first[2] + nz));
-        if count == 0 {
-            return Ok(0);
-        }
-        let found = self.voxels.read_planes(count, &mut self.planes)?;
-        self.read += found;
         let row = self.dims[0] as usize * self.voxel_bytes;
         let from = first[0] as usize * self.voxel_bytes;
         let run = self.region.size[0] as usize * self.voxel_bytes;
-        for plane in self.planes.chunks_exact(row * self.dims[1] as usize) {
-            let rows = plane.chunks_exact(row);
-            for row in rows.skip(first[1] as usize).take(ny as usize) {
-                out.extend_from_slice(&row[from..from + run]);
+        let end = (first[2] + nz).min(self.read.saturating_add(count));
+        let mut all = 0;
+        loop {
+            let found = self.step_to(end)?;
+            if found == 0 {
+                return Ok(all);
+            }
+            all += found;
+            for plane in self.planes.chunks_exact(row * self.dims[1] as usize) {
+                let rows = plane.chunks_exact(row);
+                for row in rows.skip(first[1] as usize).take(ny as usize) {
+                    out.extend_from_slice(&row[from..from + run]);
+                }
             }
         }
-        Ok(found)
     }
 
     fn finish(&mut self) -> Result<Vec<String>, Error> {
@@ -282,6 +287,62 @@ mod tests {
                 prop_assert_eq!(voxel, (expected as u16).to_le_bytes());
             }
         }
+    }
+
+    #[test]
+    fn a_small_region_of_large_planes_is_read_in_steps() {
+        /// Planes of 1 MiB that remember how many were asked for at once.
+        struct Wide {
+            left: u64,
+            most: std::sync::Arc<std::sync::atomic::AtomicU64>,
+        }
+
+        impl ForwardVoxels for Wide {
+            fn read_planes(&mut self, count: u64, out: &mut Vec<u8>) -> Result<u64, Error> {
+                let count = count.min(self.left);
+                self.left -= count;
+                let most = &self.most;
+                most.fetch_max(count, std::sync::atomic::Ordering::Relaxed);
+                out.clear();
+                out.resize((count << 20) as usize, 7);
+                Ok(count)
+            }
+
+            fn finish(&mut self) -> Result<Vec<String>, Error> {
+                assert_eq!(self.left, 0);
+                Ok(Vec::new())
+            }
+        }
+
+        let most = std::sync::Arc::default();
+        let header = Header::new(Format::Raw, [1024, 1024, 64], DType::little(VoxelType::U8));
+        let volume = Volume {
+            header,
+            voxels: Voxels::Forward(Box::new(Wide {
+                left: 64,
+                most: std::sync::Arc::clone(&most),
+            })),
+            source: SourceInfo::stream("n"),
+        };
+        let mut voxels = crop(volume, &[3..5, 3..5, 1..51]).unwrap().into_forward();
+        let mut out = Vec::new();
+        assert_eq!(voxels.read_planes(u64::MAX, &mut out).unwrap(), 50);
+        assert_eq!(out, [7; 4 * 50]);
+        assert_eq!(voxels.read_planes(1, &mut out).unwrap(), 0);
+        voxels.finish().unwrap();
+        assert_eq!(most.load(std::sync::atomic::Ordering::Relaxed), 4);
+    }
+
+    #[test]
+    fn another_spacing_moves_what_was_cut_out() {
+        let mut volume = whole([4, 5, 6], false);
+        volume.header.spacing = Some([0.1, 0.7, 0.3]);
+        volume.header.direction = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]];
+        let mut header = crop(volume, &[3..4, 2..5, 1..6]).unwrap().header;
+        assert_eq!(header.index_origin(), [0.0; 3]);
+        header.spacing = Some([2.0; 3]);
+        header.set_index_origin([1.0, 0.0, 0.0]);
+        assert_eq!(header.origin, [-3.0, 6.0, 2.0]);
     }
 
     #[test]

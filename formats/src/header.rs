@@ -519,6 +519,30 @@ impl Header {
         }
     }
 
+    /// World position of index 0 of the file's own index space, which need not be in the volume.
+    pub fn index_origin(&self) -> [f64; 3] {
+        let first = self.offset_of_first();
+        [0, 1, 2].map(|row| self.origin[row] - first[row])
+    }
+
+    /// Moves the volume so that index 0 of the file's own index space is at `position`: what is to
+    /// be done when the spacing of a volume that was cut out is replaced.
+    pub fn set_index_origin(&mut self, position: [f64; 3]) {
+        let first = self.offset_of_first();
+        self.origin = [0, 1, 2].map(|row| position[row] + first[row]);
+    }
+
+    /// From index 0 of the file's own index space to voxel (0, 0, 0), in the world.
+    fn offset_of_first(&self) -> [f64; 3] {
+        let spacing = self.spacing.unwrap_or([1.0; 3]);
+        self.direction.map(|row| {
+            // In this order regions are cut out, so that nothing is lost on the way back.
+            (0..3).fold(0.0, |sum, a| {
+                sum + row[a] * spacing[a] * self.first_index[a] as f64
+            })
+        })
+    }
+
     /// Bytes of one plane of constant z; `None` when it does not fit `u64`.
     pub fn plane_bytes(&self) -> Option<u64> {
         let [x, y, _] = self.dims;

@@ -202,6 +202,15 @@ fn consolidated_metadata_says_what_a_server_does_not_list() {
         assert_eq!(volume.header.dims, [13, 11, 9]);
         read(volume).unwrap();
     }
+    write(
+        "two/.zmetadata",
+        r#"{"metadata": {"../three/deep/in/.zarray": {}}}"#,
+    );
+    let error = failure(&format!("{}/two", server.url), &OpenOptions::default());
+    assert!(
+        error.to_string().contains("leaves the container"),
+        "{error}"
+    );
 }
 
 #[test]

@@ -276,3 +276,26 @@ fn zarr_speed() {
         );
     }
 }
+
+#[test]
+fn images_in_time_or_channels_are_no_volume() {
+    let folder = tempfile::tempdir().unwrap();
+    let dims = |names: &str| {
+        let text = format!(
+            r#"{{"zarr_format": 3, "node_type": "array", "shape": [3, 4, 5], "data_type": "uint8",
+            "chunk_grid": {{"name": "regular", "configuration": {{"chunk_shape": [3, 4, 5]}}}},
+            "chunk_key_encoding": {{"name": "default"}}, "fill_value": 0,
+            "codecs": [{{"name": "bytes"}}], "dimension_names": {names}}}"#
+        );
+        std::fs::write(folder.path().join("zarr.json"), text).unwrap();
+        let volume = open(folder.path(), &OpenOptions::default());
+        volume.map(|volume| volume.header.dims)
+    };
+    assert_eq!(dims(r#"["z", "y", "x"]"#).unwrap(), [5, 4, 3]);
+    assert_eq!(dims(r#"["x", "y", "z"]"#).unwrap(), [3, 4, 5]);
+    assert_eq!(dims(r#"["a", "b", "c2"]"#).unwrap(), [5, 4, 3]);
+    for names in [r#"["t", "y", "x"]"#, r#"["y", "x", "channel"]"#] {
+        let error = dims(names).unwrap_err().to_string();
+        assert!(error.contains("is none of x, y and z"), "{error}");
+    }
+}

@@ -1,5 +1,6 @@
 //! The input: which file, how it is read, which voxels are inside.
 
+use std::ffi::OsStr;
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 
@@ -212,18 +213,23 @@ impl InputArgs {
         };
         if let Some(Spacing { edges, unit }) = self.spacing {
             let header = &mut volume.header;
-            if header.origin != [0.0; 3] && header.unit != unit {
+            // What the file has at index 0 stays there; a region moves with the size of voxels.
+            let mut origin = header.index_origin();
+            if origin != [0.0; 3] && header.unit != unit {
                 if let Some(ratio) = lengths::ratio(header.unit, unit) {
-                    header.origin = header.origin.map(|c| c * ratio);
+                    origin = origin.map(|c| c * ratio);
                 } else {
-                    header.origin = [0.0; 3];
+                    origin = [0.0; 3];
                     header.warnings.push(
                         "the origin is in another unit than --spacing and was set to 0".into(),
                     );
                 }
             }
-            header.spacing = Some(edges);
-            header.unit = unit;
+            if header.spacing != Some(edges) || header.unit != unit {
+                header.spacing = Some(edges);
+                header.unit = unit;
+                header.set_index_origin(origin);
+            }
         }
         Ok(volume)
     }
@@ -305,7 +311,7 @@ impl CriterionArgs {
                     format!(
                         "\n\nTo see the values in the image, and the threshold of Otsu:\n  \
                          curvox info --values {}",
-                        input.input.display()
+                        input.name()
                     )
                 };
                 Err(usage(format!(
@@ -355,8 +361,31 @@ pub(crate) fn unit_name(volume: &Volume) -> &'static str {
     }
 }
 
+/// An argument of the command line for a record: an address without what may be secret.
+pub(crate) fn shown(argument: &OsStr) -> String {
+    let text = argument.to_string_lossy();
+    if is_url(&text) {
+        url_name(&text)
+    } else {
+        text.into_owned()
+    }
+}
+
 /// The modification time of a file, in seconds since 1970.
 pub(crate) fn modified(path: &Path) -> Option<u64> {
     let time = std::fs::metadata(path).ok()?.modified().ok()?;
     Some(time.duration_since(std::time::UNIX_EPOCH).ok()?.as_secs())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn arguments_are_recorded_without_the_query_of_an_address() {
+        let of = |argument: &str| shown(OsStr::new(argument));
+        assert_eq!(of("https://h/a.zarr?token=geheim"), "https://h/a.zarr");
+        assert_eq!(of("--dataset"), "--dataset");
+        assert_eq!(of("what?.tif"), "what?.tif");
+    }
 }

@@ -126,7 +126,7 @@ pub(crate) fn run(args: &RunArgs, verbose: bool, stop: &AtomicBool) -> Result<()
 /// The request, for `run.json`.
 fn asked(args: &JobArgs, job: &Job) -> Value {
     json!({
-        "arguments": std::env::args_os().skip(1).map(|a| a.to_string_lossy().into_owned()).collect::<Vec<_>>(),
+        "arguments": std::env::args_os().skip(1).map(|a| input::shown(&a)).collect::<Vec<_>>(),
         "parameters": job.info.parameters,
         "normals_from": args.method.normals_from().map(|path| json!({
             "path": std::path::absolute(path).unwrap_or_else(|_| path.to_owned()),

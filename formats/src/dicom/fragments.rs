@@ -99,6 +99,11 @@ impl Fragments {
         Ok(Self { fragments, starts })
     }
 
+    /// Bytes of memory of the table.
+    pub(super) fn held_bytes(&self) -> usize {
+        size_of_val(&*self.fragments) + size_of_val(&*self.starts)
+    }
+
     /// The bytes of a frame, joined.
     pub(super) fn read(&self, bytes: &FileBytes, frame: usize) -> Result<Vec<u8>, Error> {
         let range = match self.starts.get(frame..frame + 2) {

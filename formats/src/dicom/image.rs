@@ -34,21 +34,36 @@ pub(super) const LABELS: [(&str, &[u32], Binary); 11] = [
     ("instance", &[], Binary::Text),
 ];
 
-/// Words, each stored once.
+/// Words, each stored once, as far as there is room: small deflated files can hold any number of
+/// them.
 #[derive(Debug, Default)]
 pub(super) struct Words {
     numbers: HashMap<String, u32>,
     words: Vec<String>,
+    bytes: usize,
 }
 
 impl Words {
-    /// The number of a word, from 1; 0 stands for none.
+    /// The number of a word, from 1; 0 stands for none, and for what there is no room for.
     fn number(&mut self, word: String) -> u32 {
-        let next = u32::try_from(self.words.len() + 1).unwrap_or(u32::MAX);
-        *self.numbers.entry(word).or_insert_with_key(|word| {
-            self.words.push(word.clone());
-            next
-        })
+        /// Far more than the words of any series.
+        const MOST_BYTES: usize = 32 << 20;
+        /// What a word takes beside its letters.
+        const WORD_BYTES: usize = 96;
+        if let Some(number) = self.numbers.get(&word) {
+            return *number;
+        }
+        let bytes = self.bytes + 2 * word.len() + WORD_BYTES;
+        let Ok(next) = u32::try_from(self.words.len() + 1) else {
+            return 0;
+        };
+        if bytes > MOST_BYTES {
+            return 0;
+        }
+        self.bytes = bytes;
+        self.words.push(word.clone());
+        self.numbers.insert(word, next);
+        next
     }
 
     pub(super) fn word(&self, number: u32) -> &str {
@@ -652,4 +667,22 @@ fn frame_element(
 
 fn pair(value: &Value) -> Option<[f64; 2]> {
     value.decimals()?.try_into().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_are_kept_once_and_as_far_as_there_is_room() {
+        let mut words = Words::default();
+        assert_eq!(words.number("a".into()), 1);
+        assert_eq!(words.number("b".into()), 2);
+        assert_eq!(words.number("a".into()), 1);
+        assert_eq!((words.word(2), words.word(0)), ("b", "none"));
+        let long = |n: usize| format!("{n}").repeat(1 << 19);
+        let kept = (10..99).filter(|n| words.number(long(*n)) > 0).count();
+        assert_eq!(kept, 15);
+        assert_eq!(words.word(words.numbers[&long(13)]), long(13));
+    }
 }

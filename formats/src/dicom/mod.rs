@@ -290,6 +290,7 @@ impl Scan {
             fragments,
             inflating: Mutex::new(None),
         };
+        source.held_bytes += planes.held_bytes();
         let chunk = [dims[0], dims[1], 1];
         let voxels = ChunkedVoxels::new(name, &header, chunk, Box::new(planes));
         Ok(Volume {

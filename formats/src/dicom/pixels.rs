@@ -165,6 +165,14 @@ struct Bits {
 }
 
 impl Planes {
+    /// Bytes of memory that say where the planes are.
+    pub(super) fn held_bytes(&self) -> u64 {
+        let frames: usize = self.images.iter().map(|i| size_of_val(&*i.frames)).sum();
+        let fragments: usize = self.fragments.values().map(Fragments::held_bytes).sum();
+        let lists = size_of_val(&*self.images) + size_of_val(&*self.planes);
+        (lists + frames + fragments) as u64
+    }
+
     /// The samples of a plane as the file has them, and how they have to be put right.
     fn stored(&self, plane: Plane, out: &mut Vec<u8>) -> Result<Bits, Error> {
         let image = &self.images[plane.image];

@@ -58,7 +58,7 @@ pub(super) trait Image: Send + Sync {
     /// Replaces `out` by the pixels of an image that is known to be as `facts` says.
     fn decode(&self, data: &[u8], facts: Facts, out: &mut Vec<u8>) -> Result<(), String>;
 
-    /// The most pixels that a byte of a file can stand for.
+    /// The most bytes of pixels, packed as they are, that a byte of a file can stand for.
     fn most(&self) -> u64;
 
     /// What to tell of every image of this kind.
@@ -108,7 +108,8 @@ pub(super) fn open(
             .examine(file)
             .map_err(|what| Error::unsupported(&slice, what))?;
         let [x, y] = facts.extents;
-        if x == 0 || y == 0 || x * y > metadata.len().saturating_mul(image.most()) {
+        let bytes = x.saturating_mul(y).saturating_mul(facts.bits.into()) / 8;
+        if x == 0 || y == 0 || bytes > metadata.len().saturating_mul(image.most()) {
             return Err(Error::invalid(
                 &slice,
                 format!(
@@ -155,6 +156,8 @@ pub(super) fn open(
     header.warnings.extend(image.warning(&name));
     source.compressed = image.most() > 1;
     source.length_bytes = Some(length);
+    let names: usize = files.iter().map(|(path, _)| path.as_os_str().len()).sum();
+    source.held_bytes = (size_of_val(&*files) + names) as u64;
     let slices = Box::new(Slices {
         files,
         image,
@@ -266,7 +269,7 @@ impl Image for Png {
     }
 
     fn most(&self) -> u64 {
-        DEFLATE_MOST * 8
+        DEFLATE_MOST
     }
 }
 

@@ -77,7 +77,7 @@ impl Store for Folder {
             file.seek(SeekFrom::Start(offset)).map_err(failed)?;
         }
         out.reserve(usize::try_from(count).unwrap_or(0));
-        let found = file.take(count).read_to_end(out).map_err(failed)? as u64;
+        let found = (&file).take(count).read_to_end(out).map_err(failed)? as u64;
         if found < count {
             return Err(Error::invalid(
                 path.display().to_string(),
@@ -85,7 +85,14 @@ impl Store for Folder {
             )
             .at(offset));
         }
-        Ok(Some(stamp(&metadata)))
+        let stamp = self::stamp(&metadata);
+        if stamp.differs(&self::stamp(&file.metadata().map_err(failed)?)) {
+            return Err(Error::invalid(
+                path.display().to_string(),
+                "the file was written to while it was being read",
+            ));
+        }
+        Ok(Some(stamp))
     }
 
     fn lacks(&self, key: &str) -> bool {

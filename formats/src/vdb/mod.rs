@@ -69,6 +69,7 @@ pub(crate) fn detect(head: &[u8]) -> bool {
 pub(crate) fn open(file: FileBytes, context: &Context<'_>) -> Result<Volume, Error> {
     let (header, voxels) = read(&file, context)?;
     let mut source = file.source();
+    source.held_bytes += voxels.tree.held_bytes;
     source.compressed = voxels.layout.compression.codec != Codec::None;
     Ok(Volume {
         header,

@@ -42,6 +42,8 @@ pub(super) struct Tree {
     pub(super) active: Active,
     /// Number of leaves.
     pub(super) leaves: u64,
+    /// Bytes of memory that the tree takes.
+    pub(super) held_bytes: u64,
     /// Offset in the file of the first leaf's values.
     #[cfg(feature = "vdb-rs")]
     pub(super) leaves_start: u64,
@@ -284,14 +286,20 @@ const EXTRA_BYTES: u64 = 32 << 20;
 impl<'a, 'c> TreeReader<'a, 'c> {
     /// A reader of the tree at the cursor.
     pub(super) fn new(cursor: &'a mut Cursor<'c>, decoder: Decoder) -> Self {
-        let budget = cursor.file_bytes().saturating_add(EXTRA_BYTES);
-        Self {
+        let mut reader = Self {
             cursor,
             decoder,
-            budget,
+            budget: 0,
             active: Active::default(),
             leaves: 0,
-        }
+        };
+        reader.budget = reader.allowed();
+        reader
+    }
+
+    /// Bytes a tree may take.
+    fn allowed(&self) -> u64 {
+        self.cursor.file_bytes().saturating_add(EXTRA_BYTES)
     }
 
     /// Where the reader is.
@@ -361,6 +369,7 @@ impl<'a, 'c> TreeReader<'a, 'c> {
             roots,
             active: self.active,
             leaves: self.leaves,
+            held_bytes: 0,
             #[cfg(feature = "vdb-rs")]
             leaves_start: 0,
         })
@@ -542,6 +551,7 @@ impl<'a, 'c> TreeReader<'a, 'c> {
                 }
             }
         }
+        tree.held_bytes = self.allowed() - self.budget;
         Ok(())
     }
 }

@@ -508,6 +508,8 @@ impl<'a> Tree<'a> {
             });
             paths.extend(nodes.map(str::to_string));
         }
+        let paths: Result<Vec<_>, _> = paths.iter().map(|path| self.clean(path)).collect();
+        let mut paths = paths?;
         paths.retain(|path| !path.is_empty());
         paths.sort();
         if paths.is_empty() {

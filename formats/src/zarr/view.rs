@@ -29,7 +29,20 @@ impl View {
         let count = array.shape.len();
         let xyz = match spatial(names) {
             Some(xyz) => xyz,
-            None if count >= 3 => [count - 1, count - 2, count - 3],
+            None if count >= 3 => {
+                // A series of images in time is no volume.
+                let last = names.get(count - 3..).unwrap_or_default();
+                if let Some(other) = last.iter().find(|name| further(name).is_some()) {
+                    return Err(Error::unsupported(
+                        name,
+                        format!(
+                            "the axes are {}: '{other}' is none of x, y and z",
+                            names.join(", ")
+                        ),
+                    ));
+                }
+                [count - 1, count - 2, count - 3]
+            }
             None => {
                 return Err(Error::unsupported(
                     name,
@@ -46,12 +59,7 @@ impl View {
         for axis in (0..count).filter(|axis| !xyz.contains(axis)) {
             let extent = array.shape[axis];
             let label = names.get(axis).map(String::as_str);
-            let choice = match label.map(str::to_ascii_lowercase).as_deref() {
-                Some("t" | "time") => Some(0),
-                Some("c" | "channel") => Some(1),
-                _ => None,
-            };
-            let entry = match choice {
+            let entry = match label.and_then(further) {
                 Some(which) => entry(name, asked[which].0, asked[which].1.take(), extent)?,
                 None if extent == 1 => 0,
                 None => {
@@ -85,6 +93,15 @@ impl View {
     /// Extents along x, y, z.
     pub(crate) fn pick(&self, extents: &[u64]) -> [u64; 3] {
         self.axes.map(|axis| extents[axis])
+    }
+}
+
+/// Whether an axis of that name is one of frames (0) or channels (1).
+fn further(name: &str) -> Option<usize> {
+    match name.to_ascii_lowercase().as_str() {
+        "t" | "time" => Some(0),
+        "c" | "channel" => Some(1),
+        _ => None,
     }
 }
 

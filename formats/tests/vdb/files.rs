@@ -119,6 +119,24 @@ fn every_grid_has_the_voxels_that_the_library_gives() {
 }
 
 #[test]
+fn the_memory_of_a_tree_is_told() {
+    let Some(data) = shared_data() else { return };
+    for (file, leaves) in [
+        ("formats/head-ct/none.vdb", 700),
+        ("vdb-fixtures/empty.vdb", 0),
+    ] {
+        let volume = open(&data.join(file), &OpenOptions::default()).unwrap();
+        let held = volume.source.held_bytes;
+        let found: u64 = detail(&volume.header, "leaves").parse().unwrap();
+        assert!(
+            found >= leaves && held >= 4 * found,
+            "{file}: {held}, {found} leaves"
+        );
+        assert!(held <= volume.source.length_bytes.unwrap() + (32 << 20));
+    }
+}
+
+#[test]
 fn every_small_grid_keeps_the_rules_of_readers() {
     let Some(data) = shared_data() else { return };
     for &(file, grid, _, dims, ..) in FACTS {
