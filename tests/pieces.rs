@@ -226,6 +226,7 @@ fn two_small_things_in_opposite_corners_of_a_huge_volume_take_default_memory() {
             dims: settings.lattice.dims,
             spacing: settings.lattice.spacing,
             unit: "vx".into(),
+            first_index: [0; 3],
             origin: [0.0; 3],
             direction: settings.lattice.direction,
             radii: vec![RadiusInfo {

@@ -30,6 +30,12 @@ pub(crate) trait Chunks: Send + Sync {
         None
     }
 
+    /// Bytes of all that is stored in one piece, where it goes on along further axes; `None` where
+    /// it holds the voxels of this volume alone.
+    fn whole_bytes(&self) -> Option<u64> {
+        None
+    }
+
     /// # Errors
     ///
     /// If what was read changed meanwhile.
@@ -189,6 +195,13 @@ impl RandomVoxels for ChunkedVoxels {
 
     fn chunk(&self) -> Option<[u64; 3]> {
         Some(self.chunk)
+    }
+
+    /// The piece as stored, which is hardly more than decoded, between two filters, and decoded.
+    fn decode_bytes(&self) -> u64 {
+        let own = self.chunk_bytes().map_or(u64::MAX, |bytes| bytes as u64);
+        let whole = self.chunks.whole_bytes().unwrap_or(own);
+        whole.saturating_mul(2).saturating_add(own)
     }
 
     fn uniform(&self, region: &Region) -> Option<[u8; 8]> {

@@ -155,6 +155,10 @@ impl RandomVoxels for RandomCrop {
         [0, 1, 2].map(|a| (self.region.origin[a] + before[a]) % shape[a].max(1))
     }
 
+    fn decode_bytes(&self) -> u64 {
+        self.voxels.decode_bytes()
+    }
+
     fn uniform(&self, region: &Region) -> Option<[u8; 8]> {
         self.voxels.uniform(&self.moved(region).ok()?)
     }

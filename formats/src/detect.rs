@@ -69,13 +69,17 @@ pub(crate) fn detect(input: &mut Input, context: &Context<'_>) -> Result<Format,
     if Compression::detect(head).is_some() {
         return Err(Error::unsupported(context.name, "is compressed twice"));
     }
-    let titles: Vec<_> = formats().iter().skip(1).map(|info| info.title).collect();
+    let titles: Vec<_> = formats()
+        .iter()
+        .filter(|info| info.format != Format::Raw && info.missing_feature.is_none())
+        .map(|info| info.title)
+        .collect();
     let shown: Vec<_> = head.iter().take(8).map(|b| format!("{b:02x}")).collect();
     Err(Error::unsupported(
         context.name,
         format!(
-            "the format is not recognised (first bytes {}); expected {}, or give dimensions and \
-             type of a file without header",
+            "the format is not recognised (first bytes {}); expected {}; of a file without \
+             header, give dimensions and type (--dims, --dtype)",
             shown.join(" "),
             titles.join(", ")
         ),

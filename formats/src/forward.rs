@@ -193,8 +193,10 @@ pub(crate) fn copy(
         Error::unsupported(
             name,
             format!(
-                "{why}, so {bytes} would have to be held in memory, more than the limit of \
-                 {limit}: name a folder for a copy with --spill, or uncompress it to a file first"
+                "{why}, so {bytes} would have to be held in memory, of which {} MiB may be used for \
+                 that: allow more, name a folder for a copy on disk (--spill), or uncompress it to a \
+                 file first",
+                limit >> 20
             ),
         )
     };
@@ -209,6 +211,7 @@ pub(crate) fn copy(
         .append(wanted, &mut held)
         .map_err(|e| read_error(name, input.position(), e))?;
     if held.len() as u64 <= limit {
+        held.shrink_to_fit();
         return Ok(FileBytes::memory(name, held));
     }
     match &options.spill {

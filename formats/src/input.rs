@@ -194,10 +194,13 @@ impl Input {
     pub(crate) fn append(&mut self, count: u64, out: &mut Vec<u8>) -> io::Result<u64> {
         /// Room made before anything was read; smaller steps only cost calls.
         const STEP_BYTES: u64 = 8 << 20;
+        /// Room is made for this part of what is there, at least: more would be memory that
+        /// nobody counted, less would copy large inputs many times.
+        const PART: u64 = 8;
         let mut done = 0;
         while done < count {
-            // Doubling, but never beyond `count`: the caller's budget counts capacity, too.
-            let step = (count - done).min(STEP_BYTES.max(done));
+            // Never beyond `count`: the caller's budget counts capacity, too.
+            let step = (count - done).min(STEP_BYTES.max(done / PART));
             let step = usize::try_from(step).unwrap_or(usize::MAX);
             let before = out.len();
             out.try_reserve_exact(step).map_err(|_| {

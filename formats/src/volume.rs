@@ -125,6 +125,13 @@ pub trait RandomVoxels: Send + Sync {
         [0; 3]
     }
 
+    /// Bytes of memory that a read of one piece takes beside the box it is read into: the piece as
+    /// it is stored and as it is decoded, which may be far more than the voxels of this volume
+    /// where a piece goes on along further axes (times, channels).
+    fn decode_bytes(&self) -> u64 {
+        0
+    }
+
     /// The value, as the bytes of one voxel (the first of the eight), that all voxels of `region`
     /// have, where that is known without reading them. `None` says nothing.
     fn uniform(&self, region: &Region) -> Option<[u8; 8]> {

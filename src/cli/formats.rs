@@ -61,7 +61,7 @@ fn as_text() -> String {
         let _ = write_one(&mut text, info);
     }
     text.push_str(
-        "\nAll are recognised by content. gzip and zstd around a whole file are undone. Those marked \
+        "\nAll are recognised by content. gzip, bzip2 and zstd around a whole file are undone. Those marked \
          'pipe' are read from\nstandard input as they come; others are copied first, to memory or \
          with --spill to disk.\n",
     );

@@ -254,6 +254,11 @@ fn of_output(output: &OutputInfo) -> Fields {
         ),
         ("message", json!(run.and_then(|run| run.message.clone()))),
         ("version", json!(table.map(|t| &t.version))),
+        ("input", run.map_or(Value::Null, |run| run.input.clone())),
+        (
+            "first_index",
+            json!(table.map(|t| t.first_index).filter(|n| *n != [0; 3])),
+        ),
         ("dims", json!(table.map(|t| t.dims))),
         ("spacing", json!(table.map(|t| t.spacing))),
         ("unit", json!(table.map(|t| &t.unit))),

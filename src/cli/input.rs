@@ -12,6 +12,8 @@ use curvox_formats::{
     is_url, open, open_stream, open_url, url_name,
 };
 
+use serde_json::{Value, json};
+
 use crate::lattice::{Lattice, LatticeError};
 use crate::volume::{Criterion, Number};
 
@@ -31,7 +33,7 @@ pub(crate) struct InputArgs {
     /// never from here.
     ///
     /// The format is recognised by the content, not the name; `curvox formats` lists what is read.
-    /// Compression of the whole file (gzip, zstd) is undone on the way.
+    /// Compression of the whole file (gzip, bzip2, zstd) is undone on the way.
     #[arg(value_name = "INPUT")]
     pub(crate) input: PathBuf,
 
@@ -79,6 +81,9 @@ pub(crate) struct InputArgs {
     level: Option<u32>,
 
     /// Only these voxels, in the indices of the file; the end is not included: 0:64,10:74,-5:20
+    ///
+    /// Rows and slices then count from the corner of the box; `first_index` in the metadata says where
+    /// that is in the file.
     #[arg(long, value_name = "X0:X1,Y0:Y1,Z0:Z1", value_parser = lengths::region, allow_hyphen_values = true, help_heading = "Input")]
     region: Option<IndexBox>,
 
@@ -87,7 +92,7 @@ pub(crate) struct InputArgs {
     allow_outside: bool,
 
     /// Folder for a copy of an input that can only be read front to back, where its format needs
-    /// another order and memory does not hold it
+    /// another order and a quarter of the memory does not hold it
     ///
     /// The copy has no name and vanishes with the program.
     #[arg(long, value_name = "DIR", help_heading = "Input")]
@@ -189,9 +194,34 @@ impl InputArgs {
         }
     }
 
-    /// Opens the volume; its header is as the command line says where that overrides the file.
+    /// What was chosen of a file with several volumes, as the command line says it; what was
+    /// chosen by default is among the details of the header.
+    pub(crate) fn chosen(&self) -> Value {
+        let region = self.region.as_ref().map(|IndexBox(ranges)| {
+            let ends = ranges.iter().map(|range| [range.start, range.end]);
+            ends.collect::<Vec<_>>()
+        });
+        json!({
+            "dataset": self.dataset,
+            "frame": self.frame,
+            "channel": self.channel,
+            "level": self.level,
+            "region": region,
+        })
+    }
+
+    /// Opens the volume for whoever is not bound to a memory.
     pub(crate) fn open(&self) -> Result<Volume> {
-        let options = self.options()?;
+        self.open_within(OpenOptions::default().spool_limit_bytes)
+    }
+
+    /// Opens the volume, of which the reader may hold so many bytes in memory; its header is as the
+    /// command line says where that overrides the file.
+    pub(crate) fn open_within(&self, spool_limit_bytes: u64) -> Result<Volume> {
+        let options = OpenOptions {
+            spool_limit_bytes,
+            ..self.options()?
+        };
         let mut volume = if self.is_stdin() {
             if std::io::stdin().is_terminal() {
                 return Err(usage(
@@ -215,7 +245,8 @@ impl InputArgs {
             let header = &mut volume.header;
             // What the file has at index 0 stays there; a region moves with the size of voxels.
             let mut origin = header.index_origin();
-            if origin != [0.0; 3] && header.unit != unit {
+            // A file that names no unit means one all the same, and now it is said.
+            if origin != [0.0; 3] && header.unit != unit && header.unit != Unit::Unknown {
                 if let Some(ratio) = lengths::ratio(header.unit, unit) {
                     origin = origin.map(|c| c * ratio);
                 } else {

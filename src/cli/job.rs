@@ -4,7 +4,7 @@ use std::sync::atomic::AtomicBool;
 
 use anyhow::Result;
 use clap::Args;
-use curvox_formats::Volume;
+use curvox_formats::{Content, Volume};
 
 use crate::normal::Estimator;
 use crate::pipeline::{Access, Plan, Settings};
@@ -67,14 +67,30 @@ pub(crate) struct Job {
     pub(crate) info: TableInfo,
 }
 
+/// The warning on a criterion that takes what is outside the surface of a level set.
+fn outside_of_level_set(volume: &Volume, inside: &Inside) -> Option<String> {
+    let taken_above = matches!(inside, Inside::Otsu | Inside::Given(Criterion::AtLeast(_)));
+    (taken_above && volume.header.content == Content::LevelSet).then(|| {
+        format!(
+            "{}: is a level set, negative inside: values above a threshold are its outside, and \
+             curvatures change their sign; without a criterion, what is below 0 is taken",
+            volume.source.name
+        )
+    })
+}
+
 impl JobArgs {
     /// Opens the input and settles everything before the first voxel is used.
     pub(crate) fn prepare(&self, stop: &AtomicBool) -> Result<Job> {
-        let volume = self.input.open()?;
+        // Copies of inputs that are not read forward leave most of the memory to the run.
+        let mut volume = self.input.open_within(self.resources.memory / 4)?;
         let lattice = input::lattice(&volume, self.method.closed)?;
         // Mistakes of the command line are found before a long pass over the data.
         let method = self.method.resolve(&lattice, volume.header.unit)?;
         let inside = self.criterion.inside(&volume.header, &self.input)?;
+        if let Some(warning) = outside_of_level_set(&volume, &inside) {
+            volume.header.warnings.push(warning);
+        }
         let by_label = matches!(inside, Inside::Given(Criterion::Label(_)));
         if by_label && matches!(method.estimator, Estimator::Gradient { .. }) {
             return Err(usage(
@@ -128,6 +144,7 @@ impl JobArgs {
             dims: settings.lattice.dims,
             spacing: settings.lattice.spacing,
             unit: input::unit_name(&volume).to_owned(),
+            first_index: header.first_index,
             origin: header.origin,
             direction: header.direction,
             radii: method.radii.clone(),

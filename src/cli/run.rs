@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use anyhow::Result;
 use clap::Args;
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 
 use crate::error::Error;
 use crate::pipeline::{Progress, Source, run as run_pipeline};
@@ -173,6 +173,10 @@ fn refuse_normals_as_output(normals: Option<&Path>, target: &Target) -> Result<(
 fn fingerprint(args: &JobArgs, job: &Job) -> Value {
     let (header, source) = (&job.volume.header, &job.volume.source);
     let path = source.path.as_deref();
+    let details = header.details.iter();
+    let details: Map<String, Value> = details
+        .map(|(name, value)| ((*name).to_owned(), json!(value)))
+        .collect();
     json!({
         "name": args.input.name(),
         "path": path.map(|p| std::path::absolute(p).unwrap_or_else(|_| p.to_owned())),
@@ -181,5 +185,8 @@ fn fingerprint(args: &JobArgs, job: &Job) -> Value {
         "format": header.format.name(),
         "dims": header.dims,
         "dtype": header.dtype().to_string(),
+        "first_index": header.first_index,
+        "chosen": args.input.chosen(),
+        "details": details,
     })
 }

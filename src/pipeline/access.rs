@@ -27,6 +27,8 @@ pub struct Access {
     pub buffered: bool,
     /// Memory that the reader holds as long as it is open.
     pub held_bytes: u64,
+    /// Memory of each thread that decodes, beside the box it decodes into.
+    pub decode_bytes: u64,
     /// The pieces in which voxels are decoded, if the volume can be read anywhere.
     pub pieces: Option<PieceGrid>,
     /// What is to be read, where most of the volume is known to be uniform.
@@ -64,6 +66,7 @@ impl Access {
             voxel_bytes,
             buffered: true,
             held_bytes: 0,
+            decode_bytes: 0,
             pieces: None,
             sparse: None,
         }
@@ -85,6 +88,7 @@ impl Access {
             voxel_bytes,
             buffered: !volume.source.mapped,
             held_bytes: volume.source.held_bytes,
+            decode_bytes: voxels.decode_bytes(),
             pieces,
             sparse: pieces.and_then(|pieces| Sparse::of(voxels.as_ref(), dims, &pieces)),
         }

@@ -77,8 +77,7 @@ impl ChunkPlan {
             |columns: u64| product([columns.min(dims[0]), band_rows, thickness.min(dims[2])]);
         let across = (BOX_BYTES / of_box(shape[0]).max(1)).clamp(1, dims[0].div_ceil(shape[0]));
         let box_columns = across.saturating_mul(shape[0]);
-        // A piece beside the box: as it is stored, which is hardly more, and as it is decoded.
-        let task_bytes = of_box(box_columns).saturating_add(product(shape).saturating_mul(2));
+        let task_bytes = of_box(box_columns).saturating_add(access.decode_bytes);
         let readers = (memory_bytes / 8 / task_bytes.max(1)).clamp(1, threads as u64);
         Reading {
             box_bytes: readers.saturating_mul(task_bytes),

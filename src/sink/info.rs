@@ -37,6 +37,10 @@ pub struct TableInfo {
     pub spacing: [f64; 3],
     /// The world unit: `um`, `mm`, or `vx` when the image has none.
     pub unit: String,
+    /// Index of voxel (0, 0, 0) in the file: not zero for a region of it, or where the file's own
+    /// indices do not begin at 0.
+    #[serde(default)]
+    pub first_index: [i64; 3],
     /// World coordinates of the centre of voxel (0, 0, 0).
     pub origin: [f64; 3],
     /// Rows of the direction matrix: world = origin + direction * (spacing * index).
@@ -102,6 +106,7 @@ impl TableInfo {
             ("curvox.conventions", self.conventions.join("\n")),
             ("curvox.dims", json!(self.dims).to_string()),
             ("curvox.direction", json!(self.direction).to_string()),
+            ("curvox.first_index", json!(self.first_index).to_string()),
             ("curvox.flags", flags_json()),
             ("curvox.origin", json!(self.origin).to_string()),
             ("curvox.parameters", self.parameters.to_string()),

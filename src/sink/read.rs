@@ -307,6 +307,7 @@ fn table_info(path: &Path, builder: &Builder) -> Result<TableInfo, SinkError> {
         "dims": json("curvox.dims")?,
         "spacing": json("curvox.spacing")?,
         "unit": text("curvox.unit")?,
+        "first_index": json("curvox.first_index")?,
         "origin": json("curvox.origin")?,
         "direction": json("curvox.direction")?,
         "radii": json("curvox.radii")?,

@@ -26,7 +26,7 @@
 //! The parser is our own: of a data set it needs some forty elements, all of them short. The
 //! crates of dicom-rs (0.10 was tried) hold whole data sets in memory and know no series; they
 //! bring seventy crates, and need C++ for JPEG-LS. Damaged copies of small fixtures made them
-//! hold up to 4 GiB and panic in 17 of 1000 compressed files. Of the codecs, JPEG 2000 is that
+//! hold up to 4 GiB and panic in 17 of some hundred compressed files. Of the codecs, JPEG 2000 is that
 //! of `hayro-jpeg2000` (no `unsafe`, no further crates); the others are small and our own.
 
 mod codec;

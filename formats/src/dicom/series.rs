@@ -290,7 +290,8 @@ pub(super) fn choose(
             return Err(Error::unsupported(
                 name,
                 format!(
-                    "DICOM has several volumes here: {}; choose one with --dataset NUMBER",
+                    "DICOM has several volumes here: {}; choose one with --dataset and the number before its colon, its UID or its \
+                     description",
                     list(several)
                 ),
             ));

@@ -503,6 +503,10 @@ impl ChunkedDataset {
 }
 
 impl Chunks for ChunkedDataset {
+    fn whole_bytes(&self) -> Option<u64> {
+        Some(self.chunk_bytes as u64)
+    }
+
     fn decode(&self, index: [u64; 3], out: &mut Vec<u8>) -> Result<(), Error> {
         let numbers = self.numbers(index);
         let Some(stored) = self.index.find(&self.file, &numbers)? else {

@@ -289,6 +289,10 @@ fn changed(name: &str) -> Error {
 }
 
 impl Chunks for ArrayChunks {
+    fn whole_bytes(&self) -> Option<u64> {
+        product(self.array.chunk())?.checked_mul(self.array.dtype.voxel.bytes() as u64)
+    }
+
     fn decode(&self, index: [u64; 3], out: &mut Vec<u8>) -> Result<(), Error> {
         let place = self.place(index);
         let mut buffers = self

@@ -19,6 +19,7 @@ fn info(dims: [u32; 3], radii: usize, directions: bool) -> TableInfo {
         dims,
         spacing: [0.5, 0.5, 1.0],
         unit: "um".into(),
+        first_index: [0; 3],
         origin: [10.0, -3.0, 0.25],
         direction: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
         radii: radii

@@ -353,6 +353,7 @@ mod tests {
             dims: [1; 3],
             spacing: [1.0; 3],
             unit: "vx".into(),
+            first_index: [0; 3],
             origin: [0.0; 3],
             direction: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
             radii: vec![RadiusInfo {

@@ -24,6 +24,7 @@ fn info(edge: u32) -> TableInfo {
         dims: [edge; 3],
         spacing: [0.5, 0.5, 1.0],
         unit: "um".into(),
+        first_index: [0; 3],
         origin: [7.0, 0.0, -2.0],
         direction: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
         radii: vec![RadiusInfo {

@@ -72,7 +72,8 @@ pub fn url_name(url: &str) -> String {
 pub(crate) fn open_whole_url(url: &str, _: &OpenOptions) -> Result<Volume, Error> {
     Err(Error::unsupported(
         url_name(url),
-        "this build reads no addresses: it was made without the feature 'remote'",
+        "this build reads no addresses: it was made without the feature 'remote' (cargo install \
+         curvox --features remote)",
     ))
 }
 
