@@ -28,6 +28,7 @@ pub mod plan;
 mod reader;
 mod rows;
 mod run;
+mod sending;
 mod settings;
 mod shared;
 mod stages;

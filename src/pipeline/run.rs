@@ -14,6 +14,7 @@ use crate::volume::{SolidCounts, ValueType};
 use super::budget::Budget;
 use super::plan::Plan;
 use super::reader::{ReadCounts, Source, read};
+use super::sending;
 use super::settings::Settings;
 use super::shared::{Progress, Shared};
 use super::stages;
@@ -118,7 +119,7 @@ pub fn run(
                 stages::sums(shared, &cells_in, &rows_out)
             })
         });
-        let sunk = stage(shared, || stages::sink(shared, rows_in, &sound_in, sinks));
+        let sunk = stage(shared, || sending::sink(shared, rows_in, &sound_in, sinks));
         let reader = joined(reader);
         let normals = joined(normals);
         let cells = joined(cells);

@@ -1,6 +1,6 @@
 //! The stages between the reader and the sinks: each a loop over slabs, bricks in parallel.
 
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::VecDeque;
 use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -18,15 +18,15 @@ use crate::measure::cells::{Asked, CellMeasures, CellTotals, Keep, mark};
 use crate::measure::surface::Surface;
 use crate::normal::Around;
 use crate::normal::gradient::Sides;
-use crate::sink::{Parts, SurfelBatch, SurfelSink};
 use crate::surfel::{CellBox, SurfelIndex, Surfels};
 use crate::volume::{BitBox, BitPlane, GreyWindow, PlaneWindow, SolidCounts};
 
 use super::budget::Grant;
 use super::given;
-use super::plan::{COLUMN_BYTES, SLABS_IN_FLIGHT};
+use super::plan::SLABS_IN_FLIGHT;
 use super::reader::Plane;
-use super::rows::{self, BrickRows};
+use super::rows::BrickRows;
+use super::sending::{Rows, columns_of, send_plane};
 use super::shared::Shared;
 
 /// Surfels of a brick and their normals.
@@ -55,14 +55,6 @@ pub(super) struct MeasureSlab {
     normals: Arc<NormalSlab>,
     /// Of the same bricks.
     measures: Vec<CellMeasures>,
-}
-
-/// What goes to the sinks.
-pub(super) enum Rows {
-    /// Rows of one plane of cells and column of parts.
-    Batch(Box<SurfelBatch>),
-    /// All rows below this plane of cells have been sent.
-    Passed(i32),
 }
 
 impl Slab for NormalSlab {
@@ -680,134 +672,4 @@ fn row_brick(
         &brick.u,
         &slab.measures[at],
     )
-}
-
-/// The columns of parts that the bricks of a slab meet, in order, and the cells of each.
-fn columns_of(
-    shared: &Shared<'_>,
-    grid: &BrickGrid,
-    numbers: &[usize],
-) -> BTreeMap<[u32; 2], [Range<i32>; 2]> {
-    let edge = crate::sink::PART_EDGE as i32;
-    let last = Parts::new(shared.lattice.dims).columns().map(|n| n - 1);
-    let mut columns = BTreeMap::new();
-    for &number in numbers {
-        let core = grid.core(number, &(0..1));
-        // The last column takes the cells beyond the image, which own surfels of its border.
-        let [x, y] = [0, 1].map(|a| {
-            let of = |cell: i32| ((cell / edge) as u32).min(last[a]);
-            of(core.lo[a])..=of(core.hi[a] - 1)
-        });
-        for cy in y {
-            for cx in x.clone() {
-                columns.entry([cy, cx]).or_insert_with(|| {
-                    let column = [cx, cy];
-                    [0, 1].map(|a| {
-                        let lo = column[a] as i32 * edge;
-                        let past = if column[a] == last[a] {
-                            grid.cell_dims[a]
-                        } else {
-                            lo + edge
-                        };
-                        lo..past
-                    })
-                });
-            }
-        }
-    }
-    columns
-}
-
-/// Sends the rows of one plane of cells, column by column of the parts.
-fn send_plane(
-    shared: &Shared<'_>,
-    grid: &BrickGrid,
-    window: &SlabWindow<MeasureSlab>,
-    computed: &[BrickRows],
-    columns: &BTreeMap<[u32; 2], [Range<i32>; 2]>,
-    plane: i32,
-    out: &Sender<Rows>,
-) -> Result<(), ()> {
-    for ([cy, cx], [x, y]) in columns {
-        let cells = CellBox {
-            lo: [x.start, y.start, plane],
-            hi: [x.end, y.end, plane + 1],
-        };
-        let mut runs = Vec::new();
-        window.for_each_run(grid, cells, |_, at, run| runs.push((at, run)));
-        if runs.is_empty() {
-            continue;
-        }
-        let count = runs.iter().map(|(_, run)| run.len()).sum();
-        let mut batch = rows::empty_batch(shared, [*cx, *cy], count);
-        for (at, run) in runs {
-            computed[at].append_to(&mut batch, run, shared);
-        }
-        out.send(Rows::Batch(Box::new(batch))).map_err(|_| ())?;
-    }
-    out.send(Rows::Passed(plane + 1)).map_err(|_| ())
-}
-
-/// Last stage: hands the rows to the sinks.
-pub(super) fn sink(
-    shared: &Shared<'_>,
-    input: Receiver<Rows>,
-    sound: &Receiver<()>,
-    sinks: &mut [&mut dyn SurfelSink],
-) -> Result<(), Error> {
-    let parts = Parts::new(shared.lattice.dims);
-    // Columns with rows in a layer of parts. It is closed before the next one begins, so that only
-    // columns of one layer are open.
-    let mut open = BTreeSet::new();
-    let mut layer = 0;
-    let mut planes = 0;
-    while let Ok(rows) = input.recv() {
-        if shared.stopped() {
-            return Err(Error::Stopped);
-        }
-        match rows {
-            Rows::Batch(batch) => {
-                open.insert(batch.column);
-                let more = (open.len() as u64).saturating_sub(shared.plan.open_columns);
-                if more > 0 {
-                    return Err(Error::TooScattered {
-                        plane: planes as i32,
-                        what: format!("{} columns of parts have rows", open.len()),
-                        needed_bytes: shared.plan.memory_bytes + 8 * more * COLUMN_BYTES,
-                    });
-                }
-                for sink in sinks.iter_mut() {
-                    sink.write(&batch)?;
-                }
-                shared
-                    .progress
-                    .rows_done
-                    .fetch_add(batch.len() as u64, Ordering::Relaxed);
-            }
-            Rows::Passed(plane) => {
-                planes = plane as u64;
-                shared.progress.planes_done.store(planes, Ordering::Relaxed);
-                let kz = 2 * plane;
-                if parts.layer_of(kz) > layer {
-                    layer = parts.layer_of(kz);
-                    for column in std::mem::take(&mut open) {
-                        for sink in sinks.iter_mut() {
-                            sink.advance(column, kz)?;
-                        }
-                    }
-                }
-            }
-        }
-    }
-    if shared.stopped() || planes != shared.lattice.cell_dims()[2] as u64 {
-        return Err(Error::Stopped);
-    }
-    // A checksum behind the last plane can still be wrong.
-    if sound.recv().is_err() {
-        return Err(Error::Stopped);
-    }
-    for sink in sinks.iter_mut() {
-        sink.finish()?;
-    }
-    Ok(())
 }

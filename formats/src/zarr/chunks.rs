@@ -5,7 +5,7 @@
 //! Guaranteed: what is read of an object is bounded by what its codecs can make of a chunk; a
 //! damaged chunk is an error that names its object, and its place there.
 
-use std::collections::VecDeque;
+use std::collections::{HashMap, VecDeque};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::chunked::Chunks;
@@ -40,9 +40,12 @@ struct Index {
 /// An index that is being read by the first who needs it.
 type Slot = Arc<Mutex<Option<Arc<Index>>>>;
 
-/// The indices kept, the oldest first.
+/// The indices kept, by the places of their shards, and these places, the oldest first.
 #[derive(Default)]
-struct Indices(VecDeque<(Vec<u64>, Slot)>);
+struct Indices {
+    slots: HashMap<Vec<u64>, Slot>,
+    order: VecDeque<Vec<u64>>,
+}
 
 /// Marks a chunk that is not in its shard.
 const NOT_THERE: (u64, u64) = (u64::MAX, u64::MAX);
@@ -123,16 +126,19 @@ impl ArrayChunks {
     fn index(&self, shard: &Shard, outer: &[u64], key: &str) -> Result<Arc<Index>, Error> {
         let slot = {
             let mut kept = self.indices.lock().unwrap_or_else(PoisonError::into_inner);
-            match kept.0.iter().find(|(place, _)| place == outer) {
-                Some((_, slot)) => Arc::clone(slot),
+            match kept.slots.get(outer) {
+                Some(slot) => Arc::clone(slot),
                 None => {
                     let bytes = shard.index_bytes().unwrap_or(u64::MAX).max(64);
                     let room = (KEPT_INDEX_BYTES / bytes).max(1);
-                    while kept.0.len() as u64 >= room {
-                        kept.0.pop_front();
+                    while kept.order.len() as u64 >= room {
+                        if let Some(oldest) = kept.order.pop_front() {
+                            kept.slots.remove(&oldest);
+                        }
                     }
                     let slot = Slot::default();
-                    kept.0.push_back((outer.to_vec(), Arc::clone(&slot)));
+                    kept.slots.insert(outer.to_vec(), Arc::clone(&slot));
+                    kept.order.push_back(outer.to_vec());
                     slot
                 }
             }
