@@ -110,3 +110,26 @@ fn huge_extents_are_refused_before_they_are_believed() {
     assert!(error.message().contains("ends early"), "{error}");
     assert!(peak < 1 << 20);
 }
+
+#[test]
+fn an_extent_moves_the_first_voxel_with_and_without_a_spacing() {
+    for (spacing, step) in [("SPACING 2 3 4\n", [2.0, 3.0, 4.0]), ("", [1.0; 3])] {
+        for (data, count, half) in [("POINT_DATA", 24, 0.0), ("CELL_DATA", 6, 0.5)] {
+            let lines = format!(
+                "EXTENT 5 6 -1 1 10 13\nORIGIN 100 200 300\n{spacing}{data} {count}\nSCALARS a \
+                 unsigned_char\nLOOKUP_TABLE default\n"
+            );
+            let mut bytes = file(&lines);
+            bytes.extend(vec![7; count]);
+            let (header, voxels, _) = read_bytes(&bytes, &OpenOptions::default()).unwrap();
+            assert_eq!(voxels.len(), count);
+            assert_eq!(header.first_index, [5, -1, 10]);
+            let expected = [
+                100.0 + step[0] * (5.0 + half),
+                200.0 + step[1] * (-1.0 + half),
+                300.0 + step[2] * (10.0 + half),
+            ];
+            assert_eq!(header.origin, expected, "{lines}");
+        }
+    }
+}

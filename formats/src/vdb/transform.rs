@@ -154,6 +154,7 @@ impl Transform {
                 "{name}: the transform of the grid is none (voxels of size {lengths:?}); it is \
                  ignored and the spacing is taken as unknown"
             ));
+            header.set_index_origin([0.0; 3]);
             return Ok(());
         }
         let unit: [[f64; 3]; 3] = std::array::from_fn(|a| axes[a].map(|x| x / lengths[a]));
@@ -168,6 +169,7 @@ impl Transform {
                 "{name}: the transform of the grid is singular; it is ignored and the spacing is \
                  taken as unknown"
             ));
+            header.set_index_origin([0.0; 3]);
             return Ok(());
         }
         if [dot(x, y), dot(y, z), dot(z, x)]

@@ -174,12 +174,15 @@ fn place(grid: &Grid, cells: bool, header: &mut Header, name: &str) {
     if let Some(signed) = grid.spacing {
         take_spacing(header, signed, "SPACING", name);
     }
-    if let (Some(_), Some(signed)) = (header.spacing, grid.spacing) {
+    // Without a spacing, edges are 1.
+    if header.spacing.is_some() || grid.spacing.is_none() {
+        let signed = grid.spacing.unwrap_or([1.0; 3]);
         for axis in 0..3 {
             let middle = cells && grid.points[axis] > 1;
             let half = if middle { 0.5 } else { 0.0 };
             origin[axis] += signed[axis] * (grid.first[axis] as f64 + half);
         }
     }
+    header.first_index = grid.first;
     take_origin(header, origin, "ORIGIN", name);
 }
