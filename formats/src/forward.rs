@@ -193,7 +193,7 @@ pub(crate) fn copy(
         Error::unsupported(
             name,
             format!(
-                "{why}, so {bytes} would have to be held in memory, of which {} MiB may be used for \
+                "{why}, so {bytes} would have to be held in memory, of which {limit} bytes ({} MiB) may be used for \
                  that: allow more, name a folder for a copy on disk (--spill), or uncompress it to a \
                  file first",
                 limit >> 20
