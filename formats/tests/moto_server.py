@@ -29,7 +29,9 @@ policy = {"Version": "2012-10-17", "Statement": [{"Effect": "Allow", "Action": "
 iam.put_user_policy(UserName="reader", PolicyName="read", PolicyDocument=json.dumps(policy))
 key = iam.create_access_key(UserName="reader")["AccessKey"]
 # From now on every request is authenticated, its signature included.
-urllib.request.urlopen(urllib.request.Request(f"{url}/moto-api/reset-auth", data=b"0", method="POST"))
+# (A body that says it is a form would be taken apart before moto sees it.)
+plain = {"Content-Type": "text/plain"}
+urllib.request.urlopen(urllib.request.Request(f"{url}/moto-api/reset-auth", data=b"0", headers=plain, method="POST"))
 print(port, key["AccessKeyId"], key["SecretAccessKey"], flush=True)
 sys.stdin.read()
 server.stop()
