@@ -113,6 +113,7 @@ impl JobArgs {
         let mut settings = Settings::new(lattice);
         settings.adjacency = method.adjacency;
         settings.estimator = method.estimator;
+        settings.refinement = method.refinement;
         settings.curvature = method.curvature;
         settings.given = given;
         settings.radii = method.radii.iter().map(|r| r.voxels).collect();

@@ -94,6 +94,20 @@ impl Length {
         }
     }
 
+    /// So many times as long.
+    pub(crate) fn times(&self, factor: f64) -> Self {
+        // without the noise of the last digits
+        let number = (self.number * factor * 1e9).round() / 1e9;
+        let unit = self
+            .unit
+            .map_or_else(|| "vx".to_owned(), |unit| unit.to_string());
+        Self {
+            number,
+            unit: self.unit,
+            label: format!("{number}{unit}"),
+        }
+    }
+
     /// In voxel units, if it was typed in them.
     pub(crate) fn as_voxels(&self) -> Option<f64> {
         self.unit.is_none().then_some(self.number)

@@ -13,6 +13,7 @@ use crate::lattice::Lattice;
 use crate::measure::ball::{BallKernel, Extent, Weights};
 use crate::measure::field::Field;
 use crate::normal::gradient::GradientKernel;
+use crate::normal::refine::{FIRST_RADIUS, RefineKernel};
 use crate::normal::vcm::Side;
 use crate::normal::{Estimator, Orientation};
 use crate::sink::RadiusInfo;
@@ -34,7 +35,7 @@ pub(crate) struct MethodArgs {
     )]
     radius: Vec<Length>,
 
-    /// Radius of the ball the normals are estimated in [default: the smallest --radius]
+    /// Radius of the ball the normals are estimated in [default: the smallest --radius, 1.2 times that for average]
     #[arg(
         long,
         value_name = "LENGTH",
@@ -43,8 +44,8 @@ pub(crate) struct MethodArgs {
     )]
     normal_radius: Option<Length>,
 
-    /// Normals: ii (digital integral invariants), vcm (Voronoi covariance measure), average (of the
-    /// surface), gradient (of the grey values), given (--normals-from), trivial [default: ii]
+    /// Normals: average (of the surface), ii (digital integral invariants), vcm (Voronoi covariance
+    /// measure), gradient (of the grey values), given (--normals-from), trivial [default: average]
     #[arg(
         long,
         value_enum,
@@ -139,7 +140,11 @@ pub(crate) struct MethodArgs {
     )]
     ball: Option<BallSet>,
 
-    /// Cells at the rim: lumped (shared out to surfels), sharp (all or nothing), dgtal (ratios) [default: lumped]
+    /// How cells of the ball count: compensated (by their distance), lumped (shared out to surfels), sharp (all or nothing), dgtal (ratios) [default: compensated]
+    ///
+    /// compensated: weights that fall with the distance and turn negative, up to 1.6 times the radius, so that a curvature that
+    /// changes is not flattened; where the surface is noise, as many walls and tips one voxel thick show, positive
+    /// weights up to 1.2 times the radius instead. With --normals ii, vcm and trivial the default is lumped.
     #[arg(
         long,
         value_enum,
@@ -151,8 +156,10 @@ pub(crate) struct MethodArgs {
 
     /// A named choice of the options above, each of which still overrides it
     ///
-    /// default: as said at each option. paper: as the authors of the corrected curvature measures
-    /// compute them with DGtal: --normals ii --orientation dgtal --ball connected --weights dgtal.
+    /// default: as said at each option; robust and fast. refined: for clean segmentations of smooth objects, about half
+    /// the error and a few times the time: the normals are fitted in five passes such that the surface stays between the
+    /// voxels on either side. Where the surface is noise it is as the default. paper: as the authors of the corrected
+    /// curvature measures compute them with DGtal: --normals ii --orientation dgtal --ball connected --weights dgtal.
     #[arg(
         long,
         value_enum,
@@ -219,6 +226,7 @@ impl From<Field> for FieldName {
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq)]
 enum Method {
     Default,
+    Refined,
     Paper,
 }
 
@@ -253,6 +261,7 @@ enum BallSet {
 
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq)]
 enum WeightRule {
+    Compensated,
     Lumped,
     Sharp,
     Dgtal,
@@ -268,6 +277,8 @@ enum AdjacencyName {
 #[derive(Clone, Debug)]
 pub(crate) struct ResolvedMethod {
     pub(crate) estimator: Estimator,
+    /// The radius normals are refined with, in voxel units, if they are.
+    pub(crate) refinement: Option<f64>,
     pub(crate) curvature: curvature::Method,
     pub(crate) extent: Extent,
     pub(crate) weights: Weights,
@@ -294,6 +305,13 @@ fn name_of(value: impl ValueEnum) -> String {
 /// smaller lets noise through, larger flattens coarse shapes (1.4 times the error on Goursat).
 const DEFAULT_SIGMA: f64 = 1.5;
 
+/// Support of compensated weights, in hundredths of the radius. *Measured* with average normals on five shapes at
+/// gridsteps 1 to 1/4: the geometric mean of errors is 0.74 of that of DGtal's weights with 160 and ii normals, 0.83 with 150.
+const WIDENING: u32 = 160;
+
+/// The same for refined normals, which are good enough for a smaller ball: 120 and 160 are 2 % worse.
+const REFINED_WIDENING: u32 = 140;
+
 impl MethodArgs {
     /// The table of normals asked for.
     pub(crate) fn normals_from(&self) -> Option<&Path> {
@@ -311,8 +329,47 @@ impl MethodArgs {
             (Some(Normals::Given), None) => Err(usage(
                 "--normals given needs the table: --normals-from PATH",
             )),
-            (named, None) => Ok(named.unwrap_or(Normals::Ii)),
+            (Some(named), None) => Ok(named),
+            (None, None) if self.method == Method::Paper => Ok(Normals::Ii),
+            // the normals of the same ball as the curvature
+            (None, None) if self.curvature == CurvatureName::Ii => Ok(Normals::Ii),
+            (None, None) => Ok(Normals::Average),
         }
+    }
+
+    /// The weights for normals, unless they are named.
+    fn weights(&self, normals: Normals) -> WeightRule {
+        let own = match normals {
+            _ if self.method == Method::Paper => WeightRule::Dgtal,
+            Normals::Average | Normals::Gradient | Normals::Given => WeightRule::Compensated,
+            // Measured with ii: compensated is worse on spheres and better on Goursat's surface.
+            Normals::Ii | Normals::Vcm | Normals::Trivial => WeightRule::Lumped,
+        };
+        self.weights.unwrap_or(own)
+    }
+
+    /// Checks that refined normals can be had.
+    fn check_refined(&self, normals: Normals, by_invariants: bool) -> Result<()> {
+        if self.method != Method::Refined {
+            return Ok(());
+        }
+        if by_invariants {
+            return Err(usage(
+                "--method refined is for --curvature measures; integral invariants do not depend on normals",
+            ));
+        }
+        if normals != Normals::Average {
+            return Err(usage(format!(
+                "--method refined starts from --normals average, and cannot refine {}",
+                name_of(normals)
+            )));
+        }
+        if self.normal_radius.is_some() {
+            return Err(usage(
+                "--method refined scales the normals with the smallest --radius; --normal-radius has no use",
+            ));
+        }
+        Ok(())
     }
 
     /// The rule of orientation of normals that have one.
@@ -348,10 +405,11 @@ impl MethodArgs {
     /// # Errors
     /// If a length cannot be converted or used, or options contradict each other.
     pub(crate) fn resolve(&self, lattice: &Lattice, world: Unit) -> Result<ResolvedMethod> {
-        let paper = self.method == Method::Paper;
         let normals = self.named_normals()?;
         let orientation = self.orientation(normals)?;
         let by_invariants = self.curvature == CurvatureName::Ii;
+        self.check_refined(normals, by_invariants)?;
+        let refined = self.method == Method::Refined;
         for (flag, is_given) in [
             ("--ball", self.ball.is_some()),
             ("--weights", self.weights.is_some()),
@@ -365,11 +423,15 @@ impl MethodArgs {
             }
         }
         let ball = self.ball.unwrap_or(BallSet::Connected);
-        let weights = self.weights.unwrap_or(if paper {
-            WeightRule::Dgtal
-        } else {
-            WeightRule::Lumped
-        });
+        let weight_rule = self.weights(normals);
+        let weights = match weight_rule {
+            WeightRule::Compensated => Weights::Compensated {
+                widening: if refined { REFINED_WIDENING } else { WIDENING },
+            },
+            WeightRule::Lumped => Weights::Lumped,
+            WeightRule::Sharp => Weights::Sharp,
+            WeightRule::Dgtal => Weights::Dgtal,
+        };
         let unit = lattice.voxel_unit_world();
         let in_voxels = |flag: &str, length: &Length| -> Result<f64> {
             let voxels = length.in_voxels(flag, unit, world)?;
@@ -391,7 +453,7 @@ impl MethodArgs {
                 in_voxels("--radius", length)?
             } else {
                 let voxels = length.in_voxels("--radius", unit, world)?;
-                BallKernel::check(voxels, lattice)
+                BallKernel::check(voxels, weights, lattice)
                     .map_err(|error| usage(format!("--radius {length}: {error}")))?;
                 voxels
             };
@@ -409,7 +471,16 @@ impl MethodArgs {
                 best
             }
         });
-        let normal_length = self.normal_radius.as_ref().unwrap_or(&asked[smallest]);
+        let own_length = match normals {
+            Normals::Average => asked[smallest].times(FIRST_RADIUS),
+            _ => asked[smallest].clone(),
+        };
+        let normal_length = self.normal_radius.as_ref().unwrap_or(&own_length);
+        let refinement = refined.then_some(radii[smallest].voxels);
+        if let Some(radius) = refinement {
+            RefineKernel::new(radius, lattice)
+                .map_err(|error| usage(format!("--radius {}: {error}", asked[smallest])))?;
+        }
         let normal_radius = if !matches!(normals, Normals::Ii | Normals::Vcm | Normals::Average) {
             if self.normal_radius.is_some() {
                 return Err(usage(format!(
@@ -492,7 +563,10 @@ impl MethodArgs {
         }
         if !by_invariants {
             parameters["ball"] = json!(name_of(ball));
-            parameters["weights"] = json!(name_of(weights));
+            parameters["weights"] = json!(name_of(weight_rule));
+        }
+        if let Some(radius) = refinement {
+            parameters["refinement_radius_voxels"] = json!(radius);
         }
         if let Some(orientation) = orientation {
             parameters["orientation"] = json!(name_of(orientation));
@@ -502,6 +576,7 @@ impl MethodArgs {
         }
         Ok(ResolvedMethod {
             estimator,
+            refinement,
             curvature: match self.curvature {
                 CurvatureName::Measures => curvature::Method::Measures,
                 CurvatureName::Ii => curvature::Method::Invariants,
@@ -510,11 +585,7 @@ impl MethodArgs {
                 BallSet::Connected => Extent::Connected,
                 BallSet::Whole => Extent::Whole,
             },
-            weights: match weights {
-                WeightRule::Lumped => Weights::Lumped,
-                WeightRule::Sharp => Weights::Sharp,
-                WeightRule::Dgtal => Weights::Dgtal,
-            },
+            weights,
             adjacency: match self.adjacency {
                 AdjacencyName::Interior => Adjacency::Interior,
                 AdjacencyName::Exterior => Adjacency::Exterior,
@@ -541,6 +612,9 @@ impl ResolvedMethod {
 pub(crate) fn in_words(parameters: &Value) -> String {
     let text = |key: &str| parameters[key].as_str().unwrap_or("?");
     let mut words = text("normals").to_owned();
+    if !parameters["refinement_radius_voxels"].is_null() {
+        words = format!("refined {words}");
+    }
     for (key, before) in [("normal_radius", " of radius "), ("sigma", " of sigma ")] {
         if let Some(length) = parameters[key].as_str() {
             words += &format!("{before}{length}");

@@ -52,6 +52,8 @@ pub mod mark {
     /// A surfel around one of its pointels, or itself, is [`CUT`]: its linels and pointels then
     /// have measures that what is beyond the border could change.
     pub const NEAR_CUT: u8 = 16;
+    /// The trivial normals across two opposite sides are opposite: a wall, tip or pit one voxel thick.
+    pub const RIDGE: u8 = 32;
 }
 
 /// Measures of the cells of a brick's core, in Khalimsky order of their surfels.

@@ -74,7 +74,8 @@ pub(super) fn evaluate(
         } else {
             0
         };
-        out.marks.push(marks[i] | opposed | near);
+        let ridge = if surface.is_ridge(i) { mark::RIDGE } else { 0 };
+        out.marks.push(marks[i] | opposed | near | ridge);
         match keep {
             Keep::Lumped => lumped[core_number[i] as usize][0] = mu0,
             Keep::Cells => out.mu0.push(mu0),

@@ -103,7 +103,8 @@ pub(super) fn evaluate(
             } else {
                 0
             };
-            out.marks.push(mark | near);
+            let ridge = if surface.is_ridge(i) { mark::RIDGE } else { 0 };
+            out.marks.push(mark | near | ridge);
         }
     }
     let normals = tilted_normals();

@@ -1,6 +1,6 @@
 //! The surface of a box of cells, ready for measures: surfels, links, bits.
 
-use crate::khalimsky::Adjacency;
+use crate::khalimsky::{Adjacency, axis};
 use crate::lattice::Lattice;
 use crate::surfel::{CellBox, Links, SurfelIndex, Surfels};
 use crate::volume::{BitBox, PlaneWindow};
@@ -35,6 +35,23 @@ impl Surface {
             surfels,
             links,
         }
+    }
+
+    /// Whether the trivial normals across two opposite sides of a surfel are opposite: it is on a wall, tip or pit one
+    /// voxel thick. Smooth surfaces have few such surfels, noise is made of them.
+    #[inline]
+    #[must_use]
+    pub fn is_ridge(&self, i: usize) -> bool {
+        let links = &self.links.of[i];
+        (0..2).any(
+            |side| match (links[side].surfel(), links[side + 2].surfel()) {
+                (Some(a), Some(b)) => {
+                    let [a, b] = [a, b].map(|n| self.surfels.list[n].orientation);
+                    a != b && axis(a) == axis(b)
+                }
+                _ => false,
+            },
+        )
     }
 
     /// Number of surfels.

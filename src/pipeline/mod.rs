@@ -6,6 +6,8 @@
 //!    bits           slab by slab    cells         rows
 //! ```
 //!
+//! Between normals and cells there is one more stage for each pass that refines normals, if any.
+//!
 //! Each arrow is a bounded channel that holds one message; each box is an OS thread that owns its
 //! state and nothing else. Within a stage the bricks of a slab are spread over a rayon pool; no
 //! worker of the pool ever waits on a channel. A stage waits for the slabs its reach asks for, so
@@ -26,6 +28,7 @@ mod given;
 mod layers;
 pub mod plan;
 mod reader;
+mod refining;
 mod rows;
 mod run;
 mod sending;

@@ -13,6 +13,7 @@
 //! | a table of normals | its row groups and [`crate::sink::GIVEN_READ_BYTES`], only for given normals |
 //! | surfels in flight | [`Plan::surfel_bytes`] each, within 3/4 of [`Plan::surfel_budget_bytes`] |
 //! | rows | [`Plan::row_bytes`] a surfel of a slab, [`Plan::sent_row_bytes`] a surfel of its densest plane, within 1/4 of it |
+//! | refined normals | [`Plan::refining_ahead`] planes more on either side of what is held, three slabs a pass, 24 bytes and [`REFINED_BYTES`] a pass for each surfel in flight |
 //! | mu_Omega, if asked for | 8 bytes more a surfel in flight and of scratch (18 where linels are kept), 4 a row and radius |
 //! | scratch of a worker | [`SCRATCH_BYTES`] a surfel of a brick with its halo ([`CELL_SCRATCH_BYTES`] where linels and pointels are kept), or more where normals need it ([`NormalKernel::scratch_bytes`]), such as 8 bytes a voxel within reach of the gradient |
 //!
@@ -28,7 +29,8 @@ use serde::Serialize;
 
 use crate::curvature::integral::InvariantKernel;
 use crate::lattice::Lattice;
-use crate::measure::ball::{BallKernel, Weights};
+use crate::measure::ball::BallKernel;
+use crate::normal::refine::RefineKernel;
 use crate::normal::{NormalKernel, given};
 use crate::sink::{NormalTable, Parts};
 use crate::surfel::Surfels;
@@ -54,6 +56,13 @@ const NORMAL_SCRATCH_BYTES: u64 = 50;
 /// Scratch of a worker for each voxel of a brick whose integral invariants are taken, at worst.
 const INVARIANT_SCRATCH_BYTES: u64 = 300;
 
+/// Memory of a surfel in flight for each pass that refines normals: u, offset, marks.
+const REFINED_BYTES: u64 = 33;
+
+/// Slabs held for each pass that refines normals beside those within its reach: cut by reach at either end, and one in
+/// the channel.
+const SLABS_A_PASS: u64 = 3;
+
 /// Surfels a voxel of the worst volumes: random noise has 1.5.
 const DENSE: f64 = 1.6;
 
@@ -66,7 +75,12 @@ const WIDE_REACH: i32 = 40;
 /// Slabs with an index held at once beside the planes within reach of the sums: three in the
 /// window of the sums, which reach cuts anywhere, one in a channel, one measured and one it waits
 /// for, one in a channel, one whose normals are made.
-pub(super) const SLABS_IN_FLIGHT: u64 = 8;
+const SLABS_IN_FLIGHT: u64 = 8;
+
+/// The same with passes that refine normals.
+fn slabs_in_flight(passes: usize) -> u64 {
+    SLABS_IN_FLIGHT + SLABS_A_PASS * passes as u64
+}
 
 /// Planes of rows on their way at once: one made, two in the channel, one in the sinks.
 const SENT_PLANES: u64 = 4;
@@ -86,6 +100,9 @@ pub struct Plan {
     pub read_planes: u64,
     /// Reach of the normals, in voxels.
     pub normal_reach: [i32; 3],
+    /// Reaches of the passes that refine normals, in cells.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub refining_reach: Vec<[i32; 3]>,
     /// Reach of the sums or integral invariants, in cells: the halo of a brick.
     pub ball_reach: [i32; 3],
     /// Memory of bits and indices.
@@ -150,6 +167,8 @@ pub struct PlanRequest<'a> {
     pub lattice: &'a Lattice,
     /// The normals.
     pub normals: &'a NormalKernel,
+    /// The passes that refine them.
+    pub refinement: Option<&'a RefineKernel>,
     /// The table of normals, if they are given.
     pub given: Option<&'a NormalTable>,
     /// The sums, one for each radius.
@@ -177,7 +196,24 @@ impl Plan {
     /// two more for the measures of their cells.
     #[must_use]
     pub fn planes_ahead(&self) -> i32 {
-        self.ball_reach[2] + 4
+        self.refining_ahead() + self.ball_reach[2] + 4
+    }
+
+    /// How many planes each stage below the normals looks ahead of a slab, and behind.
+    pub(super) fn looks_ahead(&self) -> impl Iterator<Item = i32> {
+        let refining = self.refining_reach.iter().map(|reach| reach[2] + 1);
+        refining.chain([2, self.ball_reach[2] + 1])
+    }
+
+    /// How many planes the passes that refine normals look ahead together.
+    #[must_use]
+    pub fn refining_ahead(&self) -> i32 {
+        self.refining_reach.iter().map(|reach| reach[2] + 1).sum()
+    }
+
+    /// Slabs with an index held at once beside the planes within reach.
+    pub(super) fn slabs_in_flight(&self) -> u64 {
+        slabs_in_flight(self.refining_reach.len())
     }
 
     /// Memory for indices, if they may take less than they can at worst.
@@ -242,9 +278,17 @@ impl Plan {
                 [0, 1, 2].map(|a| reach[a].max(other[a]))
             });
         let normal_reach = normals.reach();
+        let refining_reach: Vec<[i32; 3]> = request.refinement.map_or(Vec::new(), |kernel| {
+            (0..kernel.passes()).map(|n| kernel.reach(n)).collect()
+        });
+        let refining_ahead: i32 = refining_reach.iter().map(|reach| reach[2] + 1).sum();
+        let widest_pass = refining_reach.iter().fold([0; 3], |widest, reach| {
+            [0, 1, 2].map(|a| reach[a].max(widest[a]))
+        });
         let widest = ball_reach
             .into_iter()
             .chain(normal_reach)
+            .chain(widest_pass)
             .max()
             .unwrap_or(0);
         if widest > Surfels::MAX_CELLS / 4 {
@@ -255,7 +299,7 @@ impl Plan {
         {
             return Err(PlanError::Brick(edge));
         }
-        let lumped = balls.iter().all(|b| b.weights() == Weights::Lumped);
+        let lumped = balls.iter().all(|b| b.weights().are_lumped());
         let radii = (balls.len() + invariants.len()) as u64;
         let only_if = |asked: bool, bytes: u64| if asked { bytes } else { 0 };
         let asked_bytes = only_if(request.directions, 24) + only_if(request.quality, 4);
@@ -265,7 +309,9 @@ impl Plan {
         let omega_bytes = only_if(request.quality, if lumped { 8 } else { 18 });
         // u, measures, marks, and the row it was given in
         let given_row = request.given.map_or(0, |_| given::ROW_BYTES);
-        let surfel_bytes = 30 + omega_bytes + if lumped { 65 } else { 130 } + given_row;
+        let passes = refining_reach.len() as u64;
+        let refined = only_if(passes > 0, 24) + passes * REFINED_BYTES;
+        let surfel_bytes = 30 + omega_bytes + if lumped { 65 } else { 130 } + given_row + refined;
         let [x, y, z] = lattice.dims.map(u64::from);
         let plane_bits = x.div_ceil(64) * 8 * y;
         let access = request.access;
@@ -334,7 +380,9 @@ impl Plan {
         };
         let (normal_z, ball_z) = (normal_reach[2] as u64, ball_reach[2] as u64);
         let bits_bytes = |edge: i32, slab: i32| {
-            let indexed = (2 * ball_z + SLABS_IN_FLIGHT * slab as u64).min(z + 1);
+            let indexed = 2 * (ball_z + refining_ahead as u64)
+                + slabs_in_flight(refining_reach.len()) * slab as u64;
+            let indexed = indexed.min(z + 1);
             let packed = indexed + 2 * normal_z + ball_z + 6 + slab as u64 + waiting;
             if let Some(bytes) = tiles(packed, 8) {
                 return bytes;
@@ -350,7 +398,7 @@ impl Plan {
                 return 0;
             }
             let below = normal_z + 1;
-            let ahead = below.max(ball_z + 4);
+            let ahead = below.max(ball_z + refining_ahead as u64 + 4);
             let planes = slab as u64 + below + ahead + waiting;
             tiles(planes, Sparse::grey_row_bytes(access.voxel_bytes))
                 .unwrap_or_else(|| stored_plane.saturating_mul(planes.min(z)))
@@ -388,7 +436,12 @@ impl Plan {
                 };
                 volume(|_| 2) * INVARIANT_SCRATCH_BYTES + volume(|reach| 2 * reach + 128) / 8
             };
-            of_sums.max(of_normals) * request.threads as u64
+            let of_passes = if refining_reach.is_empty() {
+                0
+            } else {
+                grown(widest_pass, DENSE * SCRATCH_BYTES as f64)
+            };
+            of_sums.max(of_normals).max(of_passes) * request.threads as u64
         };
         let layer_bytes = layer_bits.saturating_add(layer_grey);
         let base = (fixed_bytes.saturating_add(read_bytes)).saturating_add(layer_bytes);
@@ -450,6 +503,7 @@ impl Plan {
             slab_planes,
             read_planes,
             normal_reach,
+            refining_reach,
             ball_reach,
             bits_bytes: bits_bytes + layer_bits,
             grey_bytes: grey_bytes + layer_grey,

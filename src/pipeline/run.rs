@@ -14,6 +14,7 @@ use crate::volume::{SolidCounts, ValueType};
 use super::budget::Budget;
 use super::plan::Plan;
 use super::reader::{ReadCounts, Source, read};
+use super::refining;
 use super::sending;
 use super::settings::Settings;
 use super::shared::{Progress, Shared};
@@ -107,6 +108,20 @@ pub fn run(
                 stages::normals(shared, &planes_in, &normals_out)
             })
         });
+        let mut normals_in = normals_in;
+        let mut passes = Vec::new();
+        if let Some(kernel) = &shared.kernels.refinement {
+            for number in 0..kernel.passes() {
+                let (refined_out, refined_in) = bounded(1);
+                let input = std::mem::replace(&mut normals_in, refined_in);
+                passes.push(scope.spawn(move || {
+                    stage(shared, || {
+                        let (input, refined_out) = (input, refined_out);
+                        refining::refine(shared, kernel, number, &input, &refined_out)
+                    })
+                }));
+            }
+        }
         let cells = scope.spawn(move || {
             stage(shared, || {
                 let (normals_in, cells_out) = (normals_in, cells_out);
@@ -122,6 +137,7 @@ pub fn run(
         let sunk = stage(shared, || sending::sink(shared, rows_in, &sound_in, sinks));
         let reader = joined(reader);
         let normals = joined(normals);
+        let passes: Result<(), Error> = passes.into_iter().map(joined).collect();
         let cells = joined(cells);
         let sums = joined(sums);
         let mut outcome = Outcome::default();
@@ -141,7 +157,7 @@ pub fn run(
             outcome.sides = found.sides;
         });
         let cells = cells.map(|totals| outcome.cells = totals);
-        for result in [sunk, reader, normals, cells, sums] {
+        for result in [sunk, reader, normals, passes, cells, sums] {
             note(result)?;
         }
         if stopped {

@@ -7,6 +7,7 @@ use crate::khalimsky::Adjacency;
 use crate::lattice::Lattice;
 use crate::measure::ball::{BallKernel, Extent, Weights};
 use crate::measure::field::Field;
+use crate::normal::refine::RefineKernel;
 use crate::normal::{Estimator, NormalKernel, Orientation};
 use crate::sink::{NormalTable, SinkError};
 
@@ -22,6 +23,8 @@ pub struct Settings {
     pub adjacency: Adjacency,
     /// The normals.
     pub estimator: Estimator,
+    /// Whether the normals are refined ([`crate::normal::refine`]), and the radius it is scaled with, in voxel units.
+    pub refinement: Option<f64>,
     /// The table of normals, for [`Estimator::Given`].
     pub given: Option<NormalTable>,
     /// How the normals are continued over the surface.
@@ -49,6 +52,7 @@ pub struct Settings {
 /// Settings made ready.
 pub(super) struct Kernels {
     pub(super) normals: NormalKernel,
+    pub(super) refinement: Option<RefineKernel>,
     /// One a radius, or none where curvatures come from invariants.
     pub(super) balls: Vec<BallKernel>,
     /// One a radius, or none where curvatures come from measures.
@@ -69,6 +73,7 @@ impl Settings {
             },
             field: Field::Constant,
             curvature: Method::Measures,
+            refinement: None,
             given: None,
             radii: vec![3.0],
             extent: Extent::Connected,
@@ -103,8 +108,12 @@ impl Settings {
                 Method::Invariants => invariants.push(InvariantKernel::new(radius, &self.lattice)?),
             }
         }
+        let refinement = (self.refinement)
+            .map(|radius| RefineKernel::new(radius, &self.lattice))
+            .transpose()?;
         Ok(Kernels {
             normals,
+            refinement,
             balls,
             invariants,
         })
@@ -119,6 +128,7 @@ impl Settings {
         Ok(Plan::new(&PlanRequest {
             lattice: &self.lattice,
             normals: &kernels.normals,
+            refinement: kernels.refinement.as_ref(),
             given: self.given.as_ref(),
             balls: &kernels.balls,
             invariants: &kernels.invariants,

@@ -23,7 +23,6 @@ use crate::volume::{BitBox, BitPlane, GreyWindow, PlaneWindow, SolidCounts};
 
 use super::budget::Grant;
 use super::given;
-use super::plan::SLABS_IN_FLIGHT;
 use super::reader::Plane;
 use super::rows::BrickRows;
 use super::sending::{Rows, columns_of, send_plane};
@@ -32,21 +31,47 @@ use super::shared::Shared;
 /// Surfels of a brick and their normals.
 #[derive(Debug)]
 pub(super) struct NormalBrick {
-    index: SurfelIndex,
-    u: Vec<DVec3>,
-    marks: Vec<u8>,
+    pub(super) index: Arc<SurfelIndex>,
+    pub(super) u: Vec<DVec3>,
+    pub(super) marks: Vec<u8>,
+    /// While normals are refined: where the surface crosses the segments of the surfels, none before the
+    /// first pass.
+    pub(super) offsets: Vec<f64>,
+    /// While normals are refined: those before the first pass, once they differ from `u`.
+    pub(super) first: Option<Arc<Vec<DVec3>>>,
     sides: Sides,
+}
+
+impl NormalBrick {
+    /// The same surfels with other normals.
+    pub(super) fn with_normals(
+        &self,
+        u: Vec<DVec3>,
+        offsets: Vec<f64>,
+        first: Option<Arc<Vec<DVec3>>>,
+        marks: Vec<u8>,
+    ) -> Self {
+        Self {
+            index: Arc::clone(&self.index),
+            u,
+            marks,
+            offsets,
+            first,
+            sides: Sides::default(),
+        }
+    }
 }
 
 /// A slab with normals.
 #[derive(Debug)]
 pub(super) struct NormalSlab {
-    z: Range<i32>,
-    planes: Vec<Arc<BitPlane>>,
+    pub(super) z: Range<i32>,
+    pub(super) planes: Vec<Arc<BitPlane>>,
     /// Numbers of the bricks with surfels.
-    numbers: Vec<usize>,
-    bricks: Vec<NormalBrick>,
-    _grant: Grant,
+    pub(super) numbers: Vec<usize>,
+    pub(super) bricks: Vec<NormalBrick>,
+    /// Shared by all that hold something of these surfels.
+    pub(super) grant: Arc<Grant>,
 }
 
 /// A slab with measures of its cells.
@@ -93,7 +118,7 @@ impl Slab for MeasureSlab {
     }
 }
 
-fn grid(shared: &Shared<'_>) -> BrickGrid {
+pub(super) fn grid(shared: &Shared<'_>) -> BrickGrid {
     BrickGrid {
         cell_dims: shared.lattice.cell_dims(),
         edge: shared.plan.brick_edge,
@@ -273,7 +298,7 @@ pub(super) fn normals(
             planes,
             numbers,
             bricks,
-            _grant: grant,
+            grant: Arc::new(grant),
         };
         if shared.stopped() || out.send(Arc::new(slab)).is_err() {
             return Err(Error::Stopped);
@@ -300,11 +325,11 @@ impl Indices {
 
     /// How many of the slabs are surely let go before the next one is computed.
     fn released(&self, shared: &Shared<'_>) -> usize {
-        let oldest = (self.slabs.len() + 1).saturating_sub(SLABS_IN_FLIGHT as usize);
+        let oldest = (self.slabs.len() + 1).saturating_sub(shared.plan.slabs_in_flight() as usize);
         let Some(slab) = self.slabs.get(oldest) else {
             return 0;
         };
-        let from = slab.0.start - 2 * shared.plan.ball_reach[2];
+        let from = slab.0.start - 2 * (shared.plan.ball_reach[2] + shared.plan.refining_ahead());
         self.slabs.partition_point(|s| s.0.end <= from)
     }
 
@@ -358,8 +383,8 @@ impl Indices {
 /// Chooses where the slab that begins at plane `z` ends, and counts its surfels.
 ///
 /// While this slab waits for memory, the stages below go on as far as the slabs before it let
-/// them: cells are measured for slabs that end at least 2 planes below `z`, so sums are done for
-/// slabs whose end and reach are below the last of those ends. What is still held then, with the
+/// them: each of them works on a slab once the stage before has done the planes that it looks ahead
+/// ([`Plan::looks_ahead`]), and holds as many below. What is still held then, with the
 /// slab itself, must fit the budget; then waiting always ends. A slab of several planes is only
 /// chosen if the planes that must follow before *it* can be let go would fit too.
 fn choose_slab(
@@ -371,21 +396,13 @@ fn choose_slab(
     z: i32,
 ) -> Result<(i32, u64), Error> {
     let depth = shared.lattice.cell_dims()[2];
-    let reach = shared.plan.ball_reach[2];
-    let measured = slabs
-        .iter()
-        .map(|s| s.end)
-        .filter(|&end| end <= z - 2)
-        .max()
-        .unwrap_or(0);
-    let waiting = slabs
-        .iter()
-        .find(|s| s.end + reach + 1 > measured)
-        .map_or(z, |s| s.start);
-    let lowest = slabs
-        .iter()
-        .find(|s| s.end > waiting - reach - 1)
-        .map_or(z, |s| s.start);
+    let (mut done, mut lowest) = (z, z);
+    for ahead in shared.plan.looks_ahead() {
+        let waits = slabs.iter().find(|s| s.end + ahead > done);
+        done = waits.map_or(done, |s| s.start);
+        let held = slabs.iter().find(|s| s.end > done - ahead);
+        lowest = lowest.min(held.map_or(z, |s| s.start));
+    }
     while slabs.front().is_some_and(|s| s.end <= lowest) {
         slabs.pop_front();
     }
@@ -446,9 +463,11 @@ fn normal_brick(shared: &Shared<'_>, around: &Around<'_>, core: CellBox) -> Opti
         })
         .collect();
     Some(NormalBrick {
-        index,
+        index: Arc::new(index),
         u: normals.u,
         marks,
+        offsets: Vec::new(),
+        first: None,
         sides: normals.sides,
     })
 }

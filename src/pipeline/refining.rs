@@ -1,0 +1,134 @@
+//! The stages between normals and measures that refine normals, one for each pass.
+//!
+//! A pass wants the estimates of all surfels within its reach after the pass before, so each is a
+//! stage with a window of slabs, as the sums are, and nothing is estimated twice. The surfels of a slab
+//! are counted in its grant once, for all that the passes hold of them ([`super::plan`]).
+
+use std::sync::Arc;
+
+use crossbeam_channel::{Receiver, Sender};
+use rayon::prelude::*;
+
+use crate::brick::{BrickGrid, SlabWindow};
+use crate::error::Error;
+use crate::measure::cells::mark;
+use crate::measure::surface::Surface;
+use crate::normal::refine::{Estimate, RefineKernel, settled};
+use crate::volume::PlaneWindow;
+
+use super::shared::Shared;
+use super::stages::{NormalBrick, NormalSlab, grid};
+
+/// Pass `number` of `kernel` over all slabs.
+pub(super) fn refine(
+    shared: &Shared<'_>,
+    kernel: &RefineKernel,
+    number: usize,
+    input: &Receiver<Arc<NormalSlab>>,
+    out: &Sender<Arc<NormalSlab>>,
+) -> Result<(), Error> {
+    let grid = grid(shared);
+    let depth = grid.cell_dims[2];
+    // and the bits of one plane more
+    let ahead = kernel.reach(number)[2] + 1;
+    let mut window = SlabWindow::<NormalSlab>::default();
+    let mut z = 0;
+    while z < depth {
+        let slab = loop {
+            if let Some(slab) = window.starting_at(z)
+                && window.end() >= (slab.z.end + ahead).min(depth)
+            {
+                break slab;
+            }
+            match input.recv() {
+                Ok(next) => window.push(next),
+                Err(_) => return Err(Error::Stopped),
+            }
+        };
+        let voxels = window.voxels(shared.lattice.dims);
+        let bricks: Vec<Option<NormalBrick>> = shared.pool.install(|| {
+            (0..slab.numbers.len())
+                .into_par_iter()
+                .map(|at| {
+                    (!shared.stopped()).then(|| {
+                        refine_brick(shared, kernel, number, (&grid, &window, &voxels), &slab, at)
+                    })
+                })
+                .collect()
+        });
+        let Some(bricks) = bricks.into_iter().collect() else {
+            return Err(Error::Stopped);
+        };
+        let end = slab.z.end;
+        tracing::debug!(
+            from = z,
+            to = end,
+            pass = number,
+            "slab has refined normals"
+        );
+        let refined = NormalSlab {
+            z: slab.z.clone(),
+            planes: slab.planes.clone(),
+            numbers: slab.numbers.clone(),
+            bricks,
+            grant: Arc::clone(&slab.grant),
+        };
+        if shared.stopped() || out.send(Arc::new(refined)).is_err() {
+            return Err(Error::Stopped);
+        }
+        z = end;
+        window.release_before(z - ahead);
+    }
+    Ok(())
+}
+
+fn refine_brick(
+    shared: &Shared<'_>,
+    kernel: &RefineKernel,
+    number: usize,
+    (grid, window, voxels): (&BrickGrid, &SlabWindow<NormalSlab>, &PlaneWindow),
+    slab: &NormalSlab,
+    at: usize,
+) -> NormalBrick {
+    let core = grid.core(slab.numbers[at], &slab.z);
+    let brick = &slab.bricks[at];
+    let around = core.grown(kernel.reach(number), grid.cell_dims);
+    let surface = Surface::extract(voxels, around, shared.lattice, shared.settings.adjacency);
+    let mut estimates = Vec::with_capacity(surface.len());
+    window.for_each_run(grid, around, |slab, at, run| {
+        let from = &slab.bricks[at];
+        estimates.extend(run.map(|i| Estimate {
+            u: from.u[i],
+            offset: from.offsets.get(i).copied().unwrap_or(0.0),
+        }));
+    });
+    let starts: Vec<usize> = (0..surface.len())
+        .filter(|&i| core.contains(surface.surfels.oriented(i).cell()))
+        .collect();
+    let refined = kernel.pass(number, &surface, &estimates, &starts);
+    let is_last = number + 1 == kernel.passes();
+    let first = brick.first.as_deref().unwrap_or(&brick.u);
+    let mut marks = brick.marks.clone();
+    for (mark, refined) in marks.iter_mut().zip(&refined) {
+        if refined.cut {
+            *mark |= mark::CUT;
+        }
+    }
+    if is_last {
+        let u = refined
+            .iter()
+            .zip(first)
+            .map(|(refined, &first)| settled(refined, first));
+        return brick.with_normals(u.collect(), Vec::new(), None, marks);
+    }
+    let u = refined.iter().map(|refined| refined.estimate.u).collect();
+    let offsets = refined
+        .iter()
+        .map(|refined| refined.estimate.offset)
+        .collect();
+    let first = brick
+        .first
+        .clone()
+        .unwrap_or_else(|| Arc::new(brick.u.clone()));
+    brick.with_normals(u, offsets, Some(first), marks)
+}
