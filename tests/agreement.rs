@@ -66,6 +66,7 @@ fn plainly(settings: &Settings) -> plain::Settings {
             Weights::Sharp => plain::Weights::Sharp,
             Weights::Lumped => plain::Weights::Lumped,
             Weights::Dgtal => plain::Weights::Dgtal,
+            Weights::Compensated { widening } => plain::Weights::Compensated { widening },
         },
         ball: match settings.extent {
             Extent::Connected => plain::BallKind::Connected,
@@ -204,7 +205,12 @@ fn settings(lattice: Lattice) -> Settings {
     }
 }
 
-const ALL_WEIGHTS: [Weights; 3] = [Weights::Lumped, Weights::Sharp, Weights::Dgtal];
+const ALL_WEIGHTS: [Weights; 4] = [
+    Weights::Lumped,
+    Weights::Sharp,
+    Weights::Dgtal,
+    Weights::Compensated { widening: 160 },
+];
 
 #[test]
 fn production_agrees_with_the_plain_reference_on_noise() {
@@ -349,6 +355,8 @@ fn the_pipeline_gives_the_rows_of_a_single_brick() {
         (Weights::Sharp, Field::Interpolated),
         (Weights::Dgtal, Field::Interpolated),
         (Weights::Lumped, Field::Linear),
+        (Weights::Compensated { widening: 140 }, Field::Constant),
+        (Weights::Compensated { widening: 160 }, Field::Interpolated),
     ] {
         let mut s = settings(lattice(&solid, [1.0, 1.0, 1.5], false));
         s.weights = weights;

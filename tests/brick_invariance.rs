@@ -1,6 +1,6 @@
 use curvox::curvature::Method;
 use curvox::khalimsky::Adjacency;
-use curvox::measure::ball::Weights;
+use curvox::measure::ball::{Extent, Weights};
 use curvox::measure::field::Field;
 use curvox::normal::vcm::Side;
 use curvox::normal::{Estimator, Orientation};
@@ -10,7 +10,7 @@ use proptest::prelude::*;
 use curvox::Error;
 use curvox_tools::plain::Solid;
 
-use crate::common::{Random, bits, blob, lattice, noise, piped, tried};
+use crate::common::{Random, bits, blob, lattice, noise, piped, tried, whole};
 
 #[test]
 fn the_cut_does_not_show() {
@@ -69,8 +69,81 @@ fn the_cut_does_not_show_in_voronoi_normals_with_box_voxels() {
     }
 }
 
+/// As the command's default method, or refined.
+fn with_average(mut settings: Settings, radius: f64, refined: bool) -> Settings {
+    settings.estimator = Estimator::SurfaceAverage {
+        radius: 1.2 * radius,
+    };
+    settings.refinement = refined.then_some(radius);
+    settings.weights = Weights::Compensated {
+        widening: if refined { 140 } else { 160 },
+    };
+    settings.radii = vec![radius];
+    settings
+}
+
+#[test]
+fn the_cut_does_not_show_in_refined_normals() {
+    let solid = blob([110, 60, 100], 13);
+    for (spacing, refined) in [([1.0; 3], false), ([1.0; 3], true), ([1.0, 0.8, 1.3], true)] {
+        let settings = Settings::new(lattice(&solid, spacing, false));
+        let mut settings = with_average(settings, 2.5, refined);
+        settings.quality = true;
+        let (expected, outcome) = piped(&solid, &settings);
+        let whole = whole(&solid, &settings);
+        for (row, mean) in whole.rows.iter().zip(&expected.curvatures[0].mean) {
+            let of_row = row.curvature.map_or(f32::NAN, |c| c.mean as f32);
+            assert_eq!(of_row.to_bits(), mean.to_bits(), "{:?}", row.k);
+        }
+        let expected = bits(&expected);
+        for (brick, memory_mib, threads) in [
+            (Some(16), 1024, 1),
+            (Some(30), 1024, 2),
+            (Some(64), 1024, 7),
+            (None, 130, 2),
+        ] {
+            settings.brick = brick;
+            settings.memory_bytes = memory_mib << 20;
+            settings.threads = threads;
+            let (rows, again) = piped(&solid, &settings);
+            assert!(
+                bits(&rows) == expected,
+                "{brick:?} {memory_mib} MiB {threads} threads"
+            );
+            assert_eq!(again.cells, outcome.cells);
+        }
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(16))]
+
+    #[test]
+    fn the_cut_does_not_show_in_refined_normals_of_noise(
+        seed: u64,
+        dims in [1usize..30, 1usize..24, 1usize..40],
+        p in 0.02f64..0.98,
+        closed: bool,
+        refined: bool,
+        whole: bool,
+        brick in 8i32..24,
+        threads in 1usize..4,
+    ) {
+        let solid = noise(dims, p, seed);
+        let settings = Settings::new(lattice(&solid, [1.0; 3], closed));
+        let mut settings = with_average(settings, 1.5, refined);
+        if whole {
+            settings.extent = Extent::Whole;
+        }
+        settings.directions = true;
+        settings.threads = 1;
+        let (expected, outcome) = piped(&solid, &settings);
+        settings.brick = Some(brick);
+        settings.threads = threads;
+        let (rows, again) = piped(&solid, &settings);
+        prop_assert!(bits(&rows) == bits(&expected));
+        prop_assert_eq!(again.cells, outcome.cells);
+    }
 
     #[test]
     fn the_cut_does_not_show_on_noise(
@@ -155,6 +228,9 @@ fn tight_memory_neither_stalls_nor_shows() {
         } else {
             Weights::Lumped
         };
+        if seed % 3 == 0 {
+            settings = with_average(settings, 1.0, true);
+        }
         let (expected, _) = piped(&solid, &settings);
         let expected = bits(&expected);
         for memory_mib in [70, 76, 84, 100, 128] {

@@ -102,7 +102,11 @@ fn moved_volumes_give_moved_values() {
         orientation: Orientation::Moment,
     };
     let average = Estimator::SurfaceAverage { radius: 3.0 };
+    let default = Weights::Compensated { widening: 160 };
+    let refined = Weights::Compensated { widening: 140 };
     for (weights, estimator, field) in [
+        (default, average, Field::Constant),
+        (refined, average, Field::Constant),
         (Weights::Lumped, ii, Field::Constant),
         (Weights::Sharp, average, Field::Constant),
         (Weights::Dgtal, Estimator::Trivial, Field::Constant),
@@ -128,6 +132,7 @@ fn moved_volumes_give_moved_values() {
                 estimator,
                 field,
                 quality: true,
+                refinement: (weights == refined).then_some(2.5),
                 ..Settings::new(lattice(solid, spacing, false))
             };
             let original = whole(&solid, &settings(&solid, spacing));

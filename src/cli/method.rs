@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use crate::curvature;
 use crate::khalimsky::Adjacency;
 use crate::lattice::Lattice;
-use crate::measure::ball::{BallKernel, Extent, Weights};
+use crate::measure::ball::{BallKernel, Extent, REFINED_WIDENING, WIDENING, Weights};
 use crate::measure::field::Field;
 use crate::normal::gradient::GradientKernel;
 use crate::normal::refine::{FIRST_RADIUS, RefineKernel};
@@ -304,13 +304,6 @@ fn name_of(value: impl ValueEnum) -> String {
 /// against integral invariants are 0.62 and 0.68 at 1, 0.57 and 0.59 at 1.5, 0.60 and 0.59 at 2:
 /// smaller lets noise through, larger flattens coarse shapes (1.4 times the error on Goursat).
 const DEFAULT_SIGMA: f64 = 1.5;
-
-/// Support of compensated weights, in hundredths of the radius. *Measured* with average normals on five shapes at
-/// gridsteps 1 to 1/4: the geometric mean of errors is 0.74 of that of DGtal's weights with 160 and ii normals, 0.83 with 150.
-const WIDENING: u32 = 160;
-
-/// The same for refined normals, which are good enough for a smaller ball: 120 and 160 are 2 % worse.
-const REFINED_WIDENING: u32 = 140;
 
 impl MethodArgs {
     /// The table of normals asked for.

@@ -81,6 +81,13 @@ pub enum Weights {
     },
 }
 
+/// Support of compensated weights in hundredths of the radius, with average normals. *Measured* on five shapes at
+/// gridsteps 1 to 1/4: with 150 the geometric mean of errors is 1.1 times that with 160.
+pub const WIDENING: u32 = 160;
+
+/// The same with refined normals, which are good enough for a smaller ball: with 120 and 160 errors are 2 % larger.
+pub const REFINED_WIDENING: u32 = 140;
+
 /// Support of the weights 1 - t that are taken where the surface is noisy, in radii.
 pub const ROBUST_WIDENING: f64 = 1.2;
 

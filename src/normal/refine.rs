@@ -40,6 +40,7 @@
 use glam::DVec3;
 
 use crate::dispatch::{Work, dispatch};
+use crate::khalimsky::axis;
 use crate::lattice::{Ball, Lattice, LatticeError};
 use crate::measure::ball::{NOISY_SHARE, rise};
 use crate::measure::surface::Surface;
@@ -110,6 +111,17 @@ pub struct Refined {
     pub cut: bool,
 }
 
+/// A surfel as a fit takes it.
+#[derive(Clone, Copy, Debug)]
+struct Sample {
+    u: DVec3,
+    /// From its centroid to where the surface crosses its segment, in voxel units. Not a place: that would be rounded as the
+    /// box lies.
+    shift: DVec3,
+    /// The area of the surface that it stands for.
+    area: f64,
+}
+
 /// A pass over some surfels.
 struct PassOver<'a> {
     kernel: &'a RefineKernel,
@@ -124,17 +136,54 @@ impl Work for PassOver<'_> {
 
     #[inline(always)]
     fn run(self) -> Vec<Refined> {
+        let Self {
+            kernel,
+            number,
+            surface,
+            around,
+            starts,
+        } = self;
+        let [ex, ey, ez] = kernel.edges.to_array();
+        let areas = [ey * ez, ez * ex, ex * ey];
+        let mut samples = Vec::with_capacity(around.len());
+        for (surfel, estimate) in surface.surfels.list.iter().zip(around) {
+            let along = axis(surfel.orientation);
+            let n = trivial_normal(surfel.orientation);
+            samples.push(Sample {
+                u: estimate.u,
+                shift: n * (estimate.offset * kernel.edges[along]),
+                area: n.dot(estimate.u).max(0.0) * areas[along],
+            });
+        }
+        let mut ridges = Vec::new();
+        if number + 1 == kernel.passes() {
+            ridges.extend((0..surface.len()).map(|i| surface.is_ridge(i)));
+        }
         let mut scratch = Scratch::default();
-        let mut refined = Vec::with_capacity(self.starts.len());
-        for &start in self.starts {
-            let Self {
-                kernel,
-                number,
+        let mut refined = Vec::with_capacity(starts.len());
+        for &start in starts {
+            let (pass, ball) = (&PASSES[number], &kernel.balls[number]);
+            let rim = (scratch.walker).walk(&surface.surfels, &surface.links, ball, start);
+            let mut share = 0.0;
+            if !ridges.is_empty() {
+                let part = scratch.walker.part();
+                let count = part.iter().filter(|&&q| ridges[q as usize]).count();
+                share = count as f64 / part.len().max(1) as f64;
+            }
+            let estimate = kernel.fitted(
+                pass,
+                ball,
                 surface,
-                around,
-                ..
-            } = self;
-            refined.push(kernel.refine(number, surface, around, start, &mut scratch));
+                &samples,
+                start,
+                around[start].offset,
+                &mut scratch,
+            );
+            refined.push(Refined {
+                estimate,
+                noise: rise(share, NOISY_SHARE),
+                cut: rim.open,
+            });
         }
         refined
     }
@@ -203,77 +252,63 @@ impl RefineKernel {
         })
     }
 
+    /// The fit around a surfel, over the walk in `scratch`.
     #[inline(always)]
-    fn refine(
+    #[expect(clippy::too_many_arguments, reason = "the body of a loop")]
+    fn fitted(
         &self,
-        number: usize,
+        pass: &Pass,
+        ball: &Ball,
         surface: &Surface,
-        around: &[Estimate],
+        samples: &[Sample],
         start: usize,
+        offset: f64,
         scratch: &mut Scratch,
-    ) -> Refined {
-        let (pass, ball) = (&PASSES[number], &self.balls[number]);
+    ) -> Estimate {
         let Scratch { walker, x, y, z, w } = scratch;
-        let rim = walker.walk(&surface.surfels, &surface.links, ball, start);
-        let here = around[start];
-        let (e1, e2) = tangents(here.u);
         let surfels = &surface.surfels.list;
+        let u = samples[start].u;
+        let (e1, e2) = tangents(u);
         let centre = surfels[start].k;
+        let half = self.edges * 0.5;
         let per_radius = 1.0 / ball.radius;
-        let [ex, ey, ez] = self.edges.to_array();
-        let areas = [ey * ez, ez * ex, ex * ey];
+        let per_squared = 1.0 / ball.squared;
+        let per_turn = 1.0 / (1.0 - pass.cosine);
         for list in [&mut *x, &mut *y, &mut *z, &mut *w] {
             list.clear();
         }
-        let mut ridges = 0u32;
         for &q in walker.part() {
-            let q = q as usize;
-            ridges += u32::from(surface.is_ridge(q));
-            let Estimate { u, offset } = around[q];
-            let cosine = here.u.dot(u);
-            if cosine <= pass.cosine {
+            let sample = &samples[q as usize];
+            let cosine = u.dot(sample.u);
+            if cosine <= pass.cosine || sample.area <= 0.0 {
                 continue;
             }
-            let n = trivial_normal(surfels[q].orientation);
-            let axis = crate::khalimsky::axis(surfels[q].orientation);
-            let d = displacement(surfels[q].k, centre);
-            let flat = DVec3::from_array(d.map(f64::from)) * 0.5 * self.edges;
-            let t = ball.metric.squared(d) as f64 / ball.squared;
-            let turned = (cosine - pass.cosine) / (1.0 - pass.cosine);
-            let weight = n.dot(u).max(0.0) * areas[axis] * turned * turned * (1.0 - t);
-            if weight <= 0.0 {
-                continue;
-            }
-            let v = (flat + n * (offset * self.edges[axis])) * per_radius;
+            let d = displacement(surfels[q as usize].k, centre);
+            let t = ball.metric.squared(d) as f64 * per_squared;
+            let turned = (cosine - pass.cosine) * per_turn;
+            let v = (DVec3::from_array(d.map(f64::from)) * half + sample.shift) * per_radius;
             x.push(v.dot(e1));
             y.push(v.dot(e2));
-            z.push(v.dot(here.u));
-            w.push(weight);
+            z.push(v.dot(u));
+            w.push(sample.area * turned * turned * (1.0 - t));
         }
-        let used = w.len();
+        let whole = w.len().next_multiple_of(LANES);
         for list in [&mut *x, &mut *y, &mut *z, &mut *w] {
-            list.resize(used.next_multiple_of(LANES), 0.0);
+            list.resize(whole, 0.0);
         }
         let fit = match pass.degree {
             2 => Fit::new::<2>(x, y, z, w),
             3 => Fit::new::<3>(x, y, z, w),
             _ => Fit::new::<4>(x, y, z, w),
         };
-        let share = f64::from(ridges) / walker.part().len().max(1) as f64;
-        let axis = crate::khalimsky::axis(surfels[start].orientation);
-        let edge = trivial_normal(surfels[start].orientation) * self.edges[axis] * per_radius;
-        let along = [edge.dot(e1), edge.dot(e2), edge.dot(here.u)];
-        let estimate = match fit.crossing(along, here.offset) {
+        let along = axis(surfels[start].orientation);
+        let edge = trivial_normal(surfels[start].orientation) * self.edges[along] * per_radius;
+        match fit.crossing([edge.dot(e1), edge.dot(e2), edge.dot(u)], offset) {
             Some((at, [fx, fy])) => Estimate {
-                u: (here.u - e1 * fx - e2 * fy).normalize(),
-                offset: (here.offset + pass.relaxation * (at - here.offset)).clamp(-0.5, 0.5),
+                u: (u - e1 * fx - e2 * fy).normalize(),
+                offset: (offset + pass.relaxation * (at - offset)).clamp(-0.5, 0.5),
             },
-            None => here,
-        };
-        Refined {
-            estimate,
-            noise: rise(share, NOISY_SHARE),
-            cut: rim.open,
+            None => Estimate { u, offset },
         }
     }
 }
@@ -294,7 +329,7 @@ fn tangents(u: DVec3) -> (DVec3, DVec3) {
 }
 
 /// Points summed side by side: the same on every machine, whatever it adds at once.
-const LANES: usize = 4;
+const LANES: usize = 8;
 
 /// The highest degree of a fit.
 const MOST_DEGREE: usize = 4;
@@ -344,19 +379,22 @@ impl Fit {
             }
             let mut of_y = [1.0; LANES];
             for b in 0..=2 * D {
-                for a in 0..=2 * D - b {
-                    add_product(&mut moments[b][a], &powers[a], &of_y);
+                let row = moments[b][..=2 * D - b].iter_mut();
+                for (sum, power) in row.zip(&powers) {
+                    add_product(sum, power, &of_y);
                 }
                 if b <= D {
                     let height = times(&of_y, z);
-                    for a in 0..=D - b {
-                        add_product(&mut heights[b][a], &powers[a], &height);
+                    let row = heights[b][..=D - b].iter_mut();
+                    for (sum, power) in row.zip(&powers) {
+                        add_product(sum, power, &height);
                     }
                 }
                 of_y = times(&of_y, y);
             }
         }
-        let sum = |lanes: &[f64; LANES]| (lanes[0] + lanes[1]) + (lanes[2] + lanes[3]);
+        let sum =
+            |l: &[f64; LANES]| ((l[0] + l[1]) + (l[2] + l[3])) + ((l[4] + l[5]) + (l[6] + l[7]));
         let terms = (D + 1) * (D + 2) / 2;
         let mut matrix = [[0.0f64; TERMS]; TERMS];
         let mut right = [0.0f64; TERMS];

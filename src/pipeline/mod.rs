@@ -41,5 +41,5 @@ pub use chunks::ChunkPlan;
 pub use plan::{Plan, PlanError};
 pub use reader::{ReadCounts, Source};
 pub use run::{Outcome, run};
-pub use settings::Settings;
+pub use settings::{NamedMethod, Settings};
 pub use shared::Progress;

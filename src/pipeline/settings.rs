@@ -5,14 +5,25 @@ use crate::curvature::integral::InvariantKernel;
 use crate::error::Error;
 use crate::khalimsky::Adjacency;
 use crate::lattice::Lattice;
-use crate::measure::ball::{BallKernel, Extent, Weights};
+use crate::measure::ball::{BallKernel, Extent, REFINED_WIDENING, WIDENING, Weights};
 use crate::measure::field::Field;
-use crate::normal::refine::RefineKernel;
+use crate::normal::refine::{FIRST_RADIUS, RefineKernel};
 use crate::normal::{Estimator, NormalKernel, Orientation};
 use crate::sink::{NormalTable, SinkError};
 
 use super::access::Access;
 use super::plan::{Plan, PlanRequest};
+
+/// A way to curvatures that has a name, as `--method` of the command has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NamedMethod {
+    /// Averages of the surface and compensated weights.
+    Default,
+    /// The same with refined normals.
+    Refined,
+    /// Integral invariants and DGtal's weights, as the authors of the paper have it.
+    Paper,
+}
 
 /// What to compute.
 #[derive(Clone, Debug, PartialEq)]
@@ -60,8 +71,8 @@ pub(super) struct Kernels {
 }
 
 impl Settings {
-    /// The default method on a lattice: integral invariant normals and connected, lumped sums at 3
-    /// voxel units, one radius, within 1 GiB, on all processors.
+    /// The plainest choices on a lattice: integral invariant normals and connected, lumped sums at 3
+    /// voxel units, one radius, within 1 GiB, on all processors. See [`Self::with_method`] for better ones.
     #[must_use]
     pub fn new(lattice: Lattice) -> Self {
         Self {
@@ -84,6 +95,36 @@ impl Settings {
             memory_bytes: 1 << 30,
             brick: None,
         }
+    }
+
+    /// With the normals, sums and weights of a named method at one radius, in voxel units.
+    #[must_use]
+    pub fn with_method(mut self, method: NamedMethod, radius: f64) -> Self {
+        self.curvature = Method::Measures;
+        self.field = Field::Constant;
+        self.extent = Extent::Connected;
+        self.radii = vec![radius];
+        self.refinement = (method == NamedMethod::Refined).then_some(radius);
+        let average = Estimator::SurfaceAverage {
+            radius: FIRST_RADIUS * radius,
+        };
+        (self.estimator, self.weights) = match method {
+            NamedMethod::Default => (average, Weights::Compensated { widening: WIDENING }),
+            NamedMethod::Refined => (
+                average,
+                Weights::Compensated {
+                    widening: REFINED_WIDENING,
+                },
+            ),
+            NamedMethod::Paper => (
+                Estimator::IntegralInvariant {
+                    radius,
+                    orientation: Orientation::Trivial,
+                },
+                Weights::Dgtal,
+            ),
+        };
+        self
     }
 
     pub(super) fn kernels(&self) -> Result<Kernels, Error> {

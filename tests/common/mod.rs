@@ -10,6 +10,7 @@ use curvox::measure::ball::{BallKernel, BallSums, LocalMeasures};
 use curvox::measure::cells::{Asked, CellTotals, mark};
 use curvox::measure::evaluate;
 use curvox::measure::surface::Surface;
+use curvox::normal::refine::{Estimate, RefineKernel, settled};
 use curvox::normal::{Around, NormalKernel};
 use curvox::pipeline::{Access, Outcome, Progress, Settings, Source, run};
 use curvox::sink::{SinkError, SurfelBatch, SurfelSink};
@@ -156,6 +157,9 @@ pub(crate) fn whole_with(solid: &Solid, settings: &Settings, given: Option<&[DVe
     if let Some(given) = given {
         normals.u = given.to_vec();
     }
+    if let Some(radius) = settings.refinement {
+        normals.u = refined(&surface, radius, lattice, &normals.u);
+    }
     let marks: Vec<u8> = normals
         .degenerate
         .iter()
@@ -194,6 +198,30 @@ pub(crate) fn whole_with(solid: &Solid, settings: &Settings, given: Option<&[DVe
         totals,
         solid: counts,
     }
+}
+
+/// All passes that refine normals.
+pub(crate) fn refined(
+    surface: &Surface,
+    radius: f64,
+    lattice: &Lattice,
+    first: &[DVec3],
+) -> Vec<DVec3> {
+    let kernel = RefineKernel::new(radius, lattice).unwrap();
+    let starts: Vec<usize> = (0..surface.len()).collect();
+    let mut around: Vec<Estimate> = (first.iter())
+        .map(|&u| Estimate { u, offset: 0.0 })
+        .collect();
+    let mut last = Vec::new();
+    for number in 0..kernel.passes() {
+        last = kernel.pass(number, surface, &around, &starts);
+        around = last.iter().map(|refined| refined.estimate).collect();
+    }
+    let settled = last
+        .iter()
+        .zip(first)
+        .map(|(refined, &u)| settled(refined, u));
+    settled.collect()
 }
 
 /// Keeps all rows.

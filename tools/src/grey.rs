@@ -82,7 +82,7 @@ struct Scan {
 
 /// Keeps the rows.
 #[derive(Default)]
-struct Rows(Vec<SurfelBatch>);
+pub(crate) struct Rows(pub(crate) Vec<SurfelBatch>);
 
 impl SurfelSink for Rows {
     fn write(&mut self, batch: &SurfelBatch) -> Result<(), SinkError> {

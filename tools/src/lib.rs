@@ -10,6 +10,7 @@
 //! * [`formats`] reads every file of a folder of test data and tables what became of it.
 //! * [`grey`] compares normals from grey values with normals from bits.
 //! * [`meshes`] makes polyhedra of known curvature: Schwarz lanterns, spheres, tori.
+//! * [`methods`] tables the errors of the named methods on [`moved`] shapes.
 //! * [`picture`] draws what a run of `curvox` left.
 //! * [`paper`] repeats the experiments of the paper with the `curvox` command.
 
@@ -29,6 +30,8 @@ pub mod agreement;
 pub mod formats;
 pub mod grey;
 pub mod meshes;
+pub mod methods;
+pub mod moved;
 
 pub mod picture;
 

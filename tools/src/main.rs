@@ -10,6 +10,7 @@ use curvox_tools::agreement::{self, Comparison};
 use curvox_tools::formats::FormatsArgs;
 use curvox_tools::grey::GreyArgs;
 use curvox_tools::meshes::MeshCommand;
+use curvox_tools::methods::MethodsArgs;
 use curvox_tools::npz::Table;
 use curvox_tools::paper::PaperArgs;
 use curvox_tools::picture::PictureArgs;
@@ -51,6 +52,8 @@ enum Command {
     Paper(PaperArgs),
     /// Errors of H with normals from grey values and from bits, on images such as scanners give
     Grey(GreyArgs),
+    /// Errors and times of the named methods on shapes of known curvature, in any position, with noise
+    Methods(MethodsArgs),
     /// Read every file of a folder of test data and write a page on what became of each
     Formats(FormatsArgs),
 }
@@ -85,6 +88,7 @@ fn main() -> Result<()> {
         Command::Mesh(command) => command.run()?,
         Command::Paper(arguments) => arguments.run()?,
         Command::Grey(arguments) => arguments.run()?,
+        Command::Methods(arguments) => arguments.run()?,
         Command::Formats(arguments) => arguments.run()?,
         Command::Errors {
             reference,

@@ -14,6 +14,22 @@ pub enum Weights {
     Lumped,
     /// DGtal's inclusion ratios, by the distances of the points of a cell.
     Dgtal,
+    /// Lumped, times (1 - t)(1 - 2t) with t the squared distance over that of the support, in hundredths of the
+    /// radius; where the surface is noise times 1 - t, with a support of 1.2 radii.
+    Compensated {
+        /// Hundredths of the radius.
+        widening: u32,
+    },
+}
+
+impl Weights {
+    /// Radius of the surfels that take part, in radii.
+    fn support(self) -> f64 {
+        match self {
+            Weights::Compensated { widening } => (f64::from(widening) / 100.0).max(1.2),
+            _ => 1.0,
+        }
+    }
 }
 
 /// Which surfels of the ball count.
@@ -84,7 +100,7 @@ pub struct Ball {
 impl Ball {
     /// The ball of `radius`, in the units of `scale`.
     pub fn new(scale: &Scale, radius: f64, weights: Weights) -> Self {
-        let lattice = LatticeBall::on_khalimsky(scale, radius);
+        let lattice = LatticeBall::on_khalimsky(scale, radius * weights.support());
         // DGtal counts a surfel if one of its points is in the ball: up to one more voxel.
         let more = if weights == Weights::Dgtal { 2 } else { 0 };
         Ball {
@@ -104,7 +120,9 @@ impl Ball {
     /// Is surfel `g` in the ball around surfel `centre`?
     pub fn has(&self, surface: &Surface, centre: u32, g: u32) -> bool {
         match self.weights {
-            Weights::Sharp | Weights::Lumped => in_ball(surface, &self.lattice, centre, g),
+            Weights::Sharp | Weights::Lumped | Weights::Compensated { .. } => {
+                in_ball(surface, &self.lattice, centre, g)
+            }
             Weights::Dgtal => self.surfel_share(surface, centre, g) > 0.0,
         }
     }
@@ -118,6 +136,12 @@ impl Ball {
         walk: &Walk,
         centre: u32,
     ) -> (Sums, Option<FixedSums>) {
+        if let Weights::Compensated { widening } = self.weights {
+            return (
+                self.compensated(surface, cells, walk, centre, widening),
+                None,
+            );
+        }
         if let Some(of_surfels) = &cells.of_surfels {
             return self.sum_of_surfels(surface, of_surfels, walk, centre);
         }
@@ -125,6 +149,7 @@ impl Ball {
             Weights::Sharp => sharp(surface, cells, walk),
             Weights::Lumped => lumped(surface, cells, walk),
             Weights::Dgtal => return (self.shares(surface, cells, walk, centre), None),
+            Weights::Compensated { .. } => unreachable!("summed above"),
         };
         (fixed.into(), Some(fixed))
     }
@@ -158,6 +183,68 @@ impl Ball {
             (sums, None)
         } else {
             (fixed.into(), Some(fixed))
+        }
+    }
+
+    /// Compensated sums, in the proportion of those that a plane would have with the narrower weights.
+    fn compensated(
+        &self,
+        surface: &Surface,
+        cells: &Cells,
+        walk: &Walk,
+        centre: u32,
+        widening: u32,
+    ) -> Sums {
+        let supports = [f64::from(widening) / 100.0 * self.radius, 1.2 * self.radius];
+        let mut sums = [Sums::default(); 2];
+        let mut ridges = 0.0;
+        for &f in &walk.members {
+            let own: Sums = match &cells.of_surfels {
+                Some(of_surfels) => of_surfels[f as usize],
+                None => lump(surface, cells, f),
+            }
+            .into();
+            let d = self.distance(surface, centre, surface.surfels[f as usize].k);
+            let t = supports.map(|support| (d / support).powi(2).min(1.0));
+            for (sums, weight) in sums
+                .iter_mut()
+                .zip([(1.0 - t[0]) * (1.0 - 2.0 * t[0]), 1.0 - t[1]])
+            {
+                sums.mu0 += weight * own.mu0;
+                (0..6).for_each(|e| sums.tensor[e] += weight * own.tensor[e]);
+                sums.mu2 += weight * own.mu2;
+                sums.omega += weight * own.omega;
+            }
+            let across = surface.neighbours[f as usize];
+            let outward = |g: u32| surface.surfels[g as usize].normal();
+            let opposite = |a: u32, b: u32| {
+                a != OPEN && b != OPEN && (0..3).all(|i| outward(a)[i] == -outward(b)[i])
+            };
+            if opposite(across[0], across[2]) || opposite(across[1], across[3]) {
+                ridges += 1.0;
+            }
+        }
+        // 0 below, 1 above, a cubic between
+        let rise = |x: f64, from: f64, to: f64| {
+            let s = if x > from {
+                ((x - from) / (to - from)).min(1.0)
+            } else {
+                0.0
+            };
+            s * s * (3.0 - 2.0 * s)
+        };
+        let of_plane = [supports[0].powi(2) / 6.0, supports[1].powi(2) / 2.0];
+        let area = [0, 1].map(|i| sums[i].mu0 / of_plane[i]);
+        let noisy = rise(ridges / walk.members.len() as f64, 0.07, 0.14);
+        let eaten = 1.0 - rise(area[0], 0.4 * area[1], 0.6 * area[1]);
+        let robust = noisy.max(eaten);
+        let parts = [1.0 - robust, robust * of_plane[0] / of_plane[1]];
+        let mix = |a: f64, b: f64| parts[0] * a + parts[1] * b;
+        Sums {
+            mu0: mix(sums[0].mu0, sums[1].mu0),
+            tensor: std::array::from_fn(|e| mix(sums[0].tensor[e], sums[1].tensor[e])),
+            mu2: mix(sums[0].mu2, sums[1].mu2),
+            omega: mix(sums[0].omega, sums[1].omega),
         }
     }
 
@@ -264,17 +351,30 @@ fn sharp(surface: &Surface, cells: &Cells, walk: &Walk) -> FixedSums {
 fn lumped(surface: &Surface, cells: &Cells, walk: &Walk) -> FixedSums {
     let mut sums = FixedSums::default();
     for &f in &walk.members {
-        sums.mu0 += cells.mu0[f as usize];
-        for sheet in surface.sheets_of[f as usize] {
-            add(&mut sums.tensor, cells.half_tensor[sheet as usize]);
-            sums.omega += cells.half_omega[sheet as usize];
-        }
-        for umbrella in surface.umbrellas_of[f as usize] {
-            let degree = surface.umbrella(umbrella).len() as i64;
-            sums.mu2 += nearest_quotient(cells.mu2[umbrella as usize], degree);
-        }
+        let own = lump(surface, cells, f);
+        sums.mu0 += own.mu0;
+        add(&mut sums.tensor, own.tensor);
+        sums.mu2 += own.mu2;
+        sums.omega += own.omega;
     }
     sums
+}
+
+/// What a surfel carries.
+fn lump(surface: &Surface, cells: &Cells, f: u32) -> FixedSums {
+    let mut own = FixedSums {
+        mu0: cells.mu0[f as usize],
+        ..Default::default()
+    };
+    for sheet in surface.sheets_of[f as usize] {
+        add(&mut own.tensor, cells.half_tensor[sheet as usize]);
+        own.omega += cells.half_omega[sheet as usize];
+    }
+    for umbrella in surface.umbrellas_of[f as usize] {
+        let degree = surface.umbrella(umbrella).len() as i64;
+        own.mu2 += nearest_quotient(cells.mu2[umbrella as usize], degree);
+    }
+    own
 }
 
 fn add(sum: &mut [i64; 6], tensor: [i64; 6]) {
