@@ -64,7 +64,7 @@ pub enum LatticeError {
         /// The least and the largest that can be used.
         limits: [f64; 2],
     },
-    /// A ball of measures holds more voxels than a sum can.
+    /// A ball of measures is larger than a sum can be.
     Ball {
         /// Radius asked, in voxel units.
         radius: f64,
@@ -93,8 +93,8 @@ impl fmt::Display for LatticeError {
             ),
             LatticeError::Ball { radius, largest } => write!(
                 f,
-                "a ball of measures of radius {radius} voxels holds too many voxels of this \
-                 shape, expected at most {largest:.2}; take a smaller radius, or \
+                "a ball of measures of radius {radius} voxels is too large for voxels of this \
+                 shape and these weights, expected at most {largest:.2}; take a smaller radius, or \
                  resample the image to larger voxels"
             ),
             LatticeError::Sigma {

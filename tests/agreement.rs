@@ -1,6 +1,6 @@
 use curvox::khalimsky::Adjacency;
 use curvox::lattice::Lattice;
-use curvox::measure::ball::{Extent, Weights};
+use curvox::measure::ball::{Compensation, Extent, Weights};
 use curvox::measure::cells::mark;
 use curvox::measure::field::Field;
 use curvox::normal::vcm::Side;
@@ -66,7 +66,9 @@ fn plainly(settings: &Settings) -> plain::Settings {
             Weights::Sharp => plain::Weights::Sharp,
             Weights::Lumped => plain::Weights::Lumped,
             Weights::Dgtal => plain::Weights::Dgtal,
-            Weights::Compensated { widening } => plain::Weights::Compensated { widening },
+            Weights::Compensated(of) => plain::Weights::Compensated {
+                refined: of == Compensation::Refined,
+            },
         },
         ball: match settings.extent {
             Extent::Connected => plain::BallKind::Connected,
@@ -209,7 +211,7 @@ const ALL_WEIGHTS: [Weights; 4] = [
     Weights::Lumped,
     Weights::Sharp,
     Weights::Dgtal,
-    Weights::Compensated { widening: 160 },
+    Weights::Compensated(Compensation::Averaged),
 ];
 
 #[test]
@@ -355,8 +357,11 @@ fn the_pipeline_gives_the_rows_of_a_single_brick() {
         (Weights::Sharp, Field::Interpolated),
         (Weights::Dgtal, Field::Interpolated),
         (Weights::Lumped, Field::Linear),
-        (Weights::Compensated { widening: 140 }, Field::Constant),
-        (Weights::Compensated { widening: 160 }, Field::Interpolated),
+        (Weights::Compensated(Compensation::Refined), Field::Constant),
+        (
+            Weights::Compensated(Compensation::Averaged),
+            Field::Interpolated,
+        ),
     ] {
         let mut s = settings(lattice(&solid, [1.0, 1.0, 1.5], false));
         s.weights = weights;

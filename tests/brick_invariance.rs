@@ -1,6 +1,6 @@
 use curvox::curvature::Method;
 use curvox::khalimsky::Adjacency;
-use curvox::measure::ball::{Extent, Weights};
+use curvox::measure::ball::{Compensation, Extent, Weights};
 use curvox::measure::field::Field;
 use curvox::normal::vcm::Side;
 use curvox::normal::{Estimator, Orientation};
@@ -75,9 +75,11 @@ fn with_average(mut settings: Settings, radius: f64, refined: bool) -> Settings 
         radius: 1.2 * radius,
     };
     settings.refinement = refined.then_some(radius);
-    settings.weights = Weights::Compensated {
-        widening: if refined { 140 } else { 160 },
-    };
+    settings.weights = Weights::Compensated(if refined {
+        Compensation::Refined
+    } else {
+        Compensation::Averaged
+    });
     settings.radii = vec![radius];
     settings
 }

@@ -4,6 +4,7 @@
 mod common;
 
 /// Production agrees with the plain reference, surfel by surfel.
+mod accuracy;
 mod agreement;
 
 /// Gauss-Bonnet and Euler characteristics, in integers.

@@ -1,7 +1,7 @@
 use std::collections::HashMap;
 
 use curvox::khalimsky::Adjacency;
-use curvox::measure::ball::Weights;
+use curvox::measure::ball::{Compensation, Weights};
 use curvox::measure::field::Field;
 use curvox::normal::vcm::Side;
 use curvox::normal::{Estimator, Orientation};
@@ -102,8 +102,8 @@ fn moved_volumes_give_moved_values() {
         orientation: Orientation::Moment,
     };
     let average = Estimator::SurfaceAverage { radius: 3.0 };
-    let default = Weights::Compensated { widening: 160 };
-    let refined = Weights::Compensated { widening: 140 };
+    let default = Weights::Compensated(Compensation::Averaged);
+    let refined = Weights::Compensated(Compensation::Refined);
     for (weights, estimator, field) in [
         (default, average, Field::Constant),
         (refined, average, Field::Constant),

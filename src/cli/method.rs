@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use crate::curvature;
 use crate::khalimsky::Adjacency;
 use crate::lattice::Lattice;
-use crate::measure::ball::{BallKernel, Extent, REFINED_WIDENING, WIDENING, Weights};
+use crate::measure::ball::{BallKernel, Compensation, Extent, Weights};
 use crate::measure::field::Field;
 use crate::normal::gradient::GradientKernel;
 use crate::normal::refine::{FIRST_RADIUS, RefineKernel};
@@ -142,9 +142,9 @@ pub(crate) struct MethodArgs {
 
     /// How cells of the ball count: compensated (by their distance), lumped (shared out to surfels), sharp (all or nothing), dgtal (ratios) [default: compensated]
     ///
-    /// compensated: weights that fall with the distance and turn negative, up to 1.6 times the radius, so that a curvature that
-    /// changes is not flattened; where the surface is noise, as many walls and tips one voxel thick show, positive
-    /// weights up to 1.2 times the radius instead. With --normals ii, vcm and trivial the default is lumped.
+    /// compensated: positive weights that fall with the distance, up to 1.2 times the radius; where the curvature changes
+    /// within the ball, weights that turn negative, up to 1.6 times the radius, so that it is not flattened (but not where the
+    /// surface is noise, as many walls and tips one voxel thick show). With --normals ii, vcm and trivial the default is lumped.
     #[arg(
         long,
         value_enum,
@@ -418,9 +418,11 @@ impl MethodArgs {
         let ball = self.ball.unwrap_or(BallSet::Connected);
         let weight_rule = self.weights(normals);
         let weights = match weight_rule {
-            WeightRule::Compensated => Weights::Compensated {
-                widening: if refined { REFINED_WIDENING } else { WIDENING },
-            },
+            WeightRule::Compensated => Weights::Compensated(if refined {
+                Compensation::Refined
+            } else {
+                Compensation::Averaged
+            }),
             WeightRule::Lumped => Weights::Lumped,
             WeightRule::Sharp => Weights::Sharp,
             WeightRule::Dgtal => Weights::Dgtal,

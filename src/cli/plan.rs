@@ -261,9 +261,16 @@ fn write_text(
             )?;
         }
     }
+    let passes = match plan.refining_reach.len() {
+        0 => String::new(),
+        n => format!(
+            "{n} passes that refine them with {} planes together, ",
+            plan.refining_ahead()
+        ),
+    };
     writeln!(
         out,
-        "halo       {:?} voxels for normals, {:?} cells for sums",
+        "halo       {:?} voxels for normals, {passes}{:?} cells for sums",
         plan.normal_reach, plan.ball_reach
     )?;
     writeln!(

@@ -41,7 +41,7 @@ use glam::DVec3;
 
 use crate::dispatch::{Work, dispatch};
 use crate::khalimsky::axis;
-use crate::lattice::{Ball, Lattice, LatticeError};
+use crate::lattice::{Ball, Lattice, LatticeError, MAX_RADIUS};
 use crate::measure::ball::{NOISY_SHARE, rise};
 use crate::measure::surface::Surface;
 use crate::surfel::{Walker, displacement};
@@ -205,6 +205,11 @@ impl RefineKernel {
     /// # Errors
     /// If it cannot be used.
     pub fn new(radius: f64, lattice: &Lattice) -> Result<Self, LatticeError> {
+        let widest = PASSES.iter().map(|pass| pass.radius).fold(1.0, f64::max);
+        let largest = MAX_RADIUS / widest;
+        if radius > largest {
+            return Err(LatticeError::Ball { radius, largest });
+        }
         let metric = lattice.metric();
         let balls: Result<Vec<Ball>, _> = PASSES
             .iter()

@@ -13,7 +13,7 @@
 //! | a table of normals | its row groups and [`crate::sink::GIVEN_READ_BYTES`], only for given normals |
 //! | surfels in flight | [`Plan::surfel_bytes`] each, within 3/4 of [`Plan::surfel_budget_bytes`] |
 //! | rows | [`Plan::row_bytes`] a surfel of a slab, [`Plan::sent_row_bytes`] a surfel of its densest plane, within 1/4 of it |
-//! | refined normals | [`Plan::refining_ahead`] planes more on either side of what is held, three slabs a pass, 24 bytes and [`REFINED_BYTES`] a pass for each surfel in flight |
+//! | refined normals | [`Plan::refining_ahead`] planes more on either side of what is held, three slabs a pass, 24 bytes and 33 a pass for each surfel in flight |
 //! | mu_Omega, if asked for | 8 bytes more a surfel in flight and of scratch (18 where linels are kept), 4 a row and radius |
 //! | scratch of a worker | [`SCRATCH_BYTES`] a surfel of a brick with its halo ([`CELL_SCRATCH_BYTES`] where linels and pointels are kept), or more where normals need it ([`NormalKernel::scratch_bytes`]), such as 8 bytes a voxel within reach of the gradient |
 //!

@@ -5,7 +5,7 @@ use crate::curvature::integral::InvariantKernel;
 use crate::error::Error;
 use crate::khalimsky::Adjacency;
 use crate::lattice::Lattice;
-use crate::measure::ball::{BallKernel, Extent, REFINED_WIDENING, WIDENING, Weights};
+use crate::measure::ball::{BallKernel, Compensation, Extent, Weights};
 use crate::measure::field::Field;
 use crate::normal::refine::{FIRST_RADIUS, RefineKernel};
 use crate::normal::{Estimator, NormalKernel, Orientation};
@@ -109,13 +109,8 @@ impl Settings {
             radius: FIRST_RADIUS * radius,
         };
         (self.estimator, self.weights) = match method {
-            NamedMethod::Default => (average, Weights::Compensated { widening: WIDENING }),
-            NamedMethod::Refined => (
-                average,
-                Weights::Compensated {
-                    widening: REFINED_WIDENING,
-                },
-            ),
+            NamedMethod::Default => (average, Weights::Compensated(Compensation::Averaged)),
+            NamedMethod::Refined => (average, Weights::Compensated(Compensation::Refined)),
             NamedMethod::Paper => (
                 Estimator::IntegralInvariant {
                     radius,

@@ -25,8 +25,57 @@ fn usage_errors_give_2() {
         (&["--threshold", "1", "--radius", "3"][..], "3vx"),
         (
             &["--threshold", "1", "--radius", "64vx"],
-            "--radius 64vx: a ball of measures of radius 64 voxels holds too many voxels of this \
-             shape, expected at most 39.70",
+            "--radius 64vx: a ball of measures of radius 64 voxels is too large for voxels of this \
+             shape and these weights, expected at most 39.38",
+        ),
+        (
+            &[
+                "--threshold",
+                "1",
+                "--radius",
+                "40vx",
+                "--weights",
+                "lumped",
+            ],
+            "expected at most 39.70",
+        ),
+        (
+            &[
+                "--threshold",
+                "1",
+                "--radius",
+                "32vx",
+                "--method",
+                "refined",
+            ],
+            "--radius 32vx: a ball of measures of radius 32 voxels is too large for voxels of this \
+             shape and these weights, expected at most 31.50",
+        ),
+        (
+            &["--threshold", "1", "--method", "refined", "--normals", "ii"],
+            "--normals average",
+        ),
+        (
+            &[
+                "--threshold",
+                "1",
+                "--method",
+                "refined",
+                "--normal-radius",
+                "3vx",
+            ],
+            "no use",
+        ),
+        (
+            &[
+                "--threshold",
+                "1",
+                "--method",
+                "refined",
+                "--curvature",
+                "ii",
+            ],
+            "--curvature measures",
         ),
         (
             &["--threshold", "1", "--radius", "40vx"],

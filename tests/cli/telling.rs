@@ -66,7 +66,15 @@ fn normals_field_and_curvature_are_named_by_plan_and_run() {
     for (options, line) in [
         (
             &["--radius", "4vx"][..],
-            "ii of radius 4vx, field constant, curvature by measures",
+            "average of radius 4.8vx, field constant, curvature by measures",
+        ),
+        (
+            &["--method", "refined"],
+            "refined average of radius 3.6vx, field constant, curvature by measures",
+        ),
+        (
+            &["--normals", "ii"],
+            "ii of radius 3vx, field constant, curvature by measures",
         ),
         (
             &["--normals", "gradient", "--sigma", "2vx"],

@@ -131,6 +131,8 @@ fn the_paper_is_a_choice_of_options() {
         &[
             "--threshold",
             "1",
+            "--normals",
+            "ii",
             "--orientation",
             "dgtal",
             "--weights",

@@ -289,8 +289,9 @@ fn introduction(study: &Study, runner: &Runner, results: &Results) -> Result<Str
          three. DGtal is the library of the paper's authors (2.1.1, development head of June 2026), measured on \
          the same voxels at the same radii; `ratio` is curvox's error over DGtal's. *plain II* are digital \
          integral invariants without measures.\n\n\
-         Rows `paper ...` are `--method paper`, the choices of the paper's authors in DGtal; the others are curvox's \
-         defaults. Runs that would take minutes end at h = 1/16.\n\n\
+         Rows `paper ...` are `--method paper`, the choices of the paper's authors in DGtal; the others share \
+         linels and pointels out to surfels (`--weights lumped`) and orient normals away from the solid. curvox's own methods \
+         are in `docs/accuracy`. Runs that would take minutes end at h = 1/16.\n\n\
          Made by `cargo run --release -p curvox-tools -- paper -o docs/paper --runs target/paper{}`, on {}.\n",
         results.count(),
         page::gridstep(study.finest),

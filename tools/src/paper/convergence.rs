@@ -508,7 +508,7 @@ fn comparison(
              and trivial ones (the normal cycle). Right: corrected measures (u = II) and plain integral \
              invariants. Goursat, r = rho = 3 h^(1/2). {STROKES}* Numbers: [{file}.csv]({file}.csv).\n\n{}\n\
              **Why ours differ from DGtal's.** Rows `paper ...` are `--method paper`, which repeats DGtal's \
-             conventions; the others are curvox's defaults, which share linels and pointels out to surfels \
+             conventions; the others share linels and pointels out to surfels \
              (`--weights lumped`) and orient normals away from the solid.\n\n{}\n{}",
             errors.table().markdown(),
             differences(&curves, curvature),

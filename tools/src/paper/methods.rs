@@ -5,7 +5,7 @@
 /// Methods of estimating curvatures that the figures compare.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Estimator {
-    /// Corrected measures, normals by digital integral invariants: what curvox does by default.
+    /// Corrected measures, normals by digital integral invariants, lumped sums.
     Ii,
     /// The same as the paper's authors compute it: `--method paper`.
     Paper,
@@ -61,11 +61,11 @@ impl Estimator {
 
     fn options(self) -> &'static [&'static str] {
         match self {
-            Estimator::Ii => &[],
+            Estimator::Ii => &["--normals", "ii"],
             Estimator::Paper => &["--method", "paper"],
             Estimator::Vcm => &["--normals", "vcm"],
             Estimator::VcmPaper => &["--method", "paper", "--normals", "vcm"],
-            Estimator::Average => &["--normals", "average"],
+            Estimator::Average => &["--normals", "average", "--weights", "lumped"],
             Estimator::Trivial => &["--normals", "trivial"],
             Estimator::TrivialPaper => &["--method", "paper", "--normals", "trivial"],
             // It needs no normals; trivial ones take no time.

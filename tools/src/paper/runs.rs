@@ -493,7 +493,7 @@ mod tests {
         assert_eq!(
             run.command_line(),
             "curvox shape goursat --gridstep 0.5 -o - | curvox run - --threshold 1 \
-             --normal-radius 4.242640687119285vx --radius 4.242640687119285vx --directions --threads 1"
+             --normals ii --normal-radius 4.242640687119285vx --radius 4.242640687119285vx --directions --threads 1"
         );
     }
 }

@@ -14,11 +14,12 @@ pub enum Weights {
     Lumped,
     /// DGtal's inclusion ratios, by the distances of the points of a cell.
     Dgtal,
-    /// Lumped, times (1 - t)(1 - 2t) with t the squared distance over that of the support, in hundredths of the
-    /// radius; where the surface is noise times 1 - t, with a support of 1.2 radii.
+    /// Lumped, times (1 - t)(1 - 2t) with t the squared distance over that of the support, in
+    /// radii; where the surface is noise, or both differ by no more than the staircase makes them, times
+    /// 1 - t, with a support of 1.2 radii.
     Compensated {
-        /// Hundredths of the radius.
-        widening: u32,
+        /// 1.4 radii and a small contrast, instead of 1.6 and a larger one.
+        refined: bool,
     },
 }
 
@@ -26,7 +27,13 @@ impl Weights {
     /// Radius of the surfels that take part, in radii.
     fn support(self) -> f64 {
         match self {
-            Weights::Compensated { widening } => (f64::from(widening) / 100.0).max(1.2),
+            Weights::Compensated { refined } => {
+                if refined {
+                    1.4
+                } else {
+                    1.6
+                }
+            }
             _ => 1.0,
         }
     }
@@ -136,9 +143,9 @@ impl Ball {
         walk: &Walk,
         centre: u32,
     ) -> (Sums, Option<FixedSums>) {
-        if let Weights::Compensated { widening } = self.weights {
+        if let Weights::Compensated { refined } = self.weights {
             return (
-                self.compensated(surface, cells, walk, centre, widening),
+                self.compensated(surface, cells, walk, centre, refined),
                 None,
             );
         }
@@ -193,9 +200,14 @@ impl Ball {
         cells: &Cells,
         walk: &Walk,
         centre: u32,
-        widening: u32,
+        refined: bool,
     ) -> Sums {
-        let supports = [f64::from(widening) / 100.0 * self.radius, 1.2 * self.radius];
+        let (support, contrasts) = if refined {
+            (1.4, [0.2, 0.6])
+        } else {
+            (1.6, [0.5, 1.3])
+        };
+        let supports = [support * self.radius, 1.2 * self.radius];
         let mut sums = [Sums::default(); 2];
         let mut ridges = 0.0;
         for &f in &walk.members {
@@ -237,7 +249,14 @@ impl Ball {
         let area = [0, 1].map(|i| sums[i].mu0 / of_plane[i]);
         let noisy = rise(ridges / walk.members.len() as f64, 0.07, 0.14);
         let eaten = 1.0 - rise(area[0], 0.4 * area[1], 0.6 * area[1]);
-        let robust = noisy.max(eaten);
+        let per_area = sums.map(|s| s.tensor.map(|t| t / s.mu0));
+        let difference: f64 = (0..6)
+            .map(|e| (per_area[0][e] - per_area[1][e]).powi(2) * if e < 3 { 1.0 } else { 2.0 })
+            .sum();
+        let contrast = difference.sqrt() * self.radius.powi(3);
+        let robust = noisy
+            .max(eaten)
+            .max(1.0 - rise(contrast, contrasts[0], contrasts[1]));
         let parts = [1.0 - robust, robust * of_plane[0] / of_plane[1]];
         let mix = |a: f64, b: f64| parts[0] * a + parts[1] * b;
         Sums {
