@@ -42,43 +42,48 @@ impl<S: ImplicitShape> Case<S> {
         piped(&self.solid, &settings.with_method(method, radius)).0
     }
 
-    /// l2 and linf of H, then of G, over the surfels near the surface that are on no island.
-    fn errors(&self, method: NamedMethod, radius: f64) -> [f64; 4] {
-        let rows = self.rows(method, radius);
-        let at = &rows.curvatures[0];
+    /// l2 and linf of H, then of G, of each method, over the surfels near the surface that are an island to none.
+    fn errors<const N: usize>(&self, methods: [NamedMethod; N], radius: f64) -> [[f64; 4]; N] {
+        let all = methods.map(|method| self.rows(method, radius));
         let far = 2.0 * self.digitisation.spacing().max_element();
-        let mut errors = [0.0f64; 4];
+        let mut errors = [[0.0f64; 4]; N];
         let mut count = 0.0;
-        for i in 0..rows.len() {
-            let k = [0, 1, 2].map(|a| i64::from(rows.k[a][i]));
+        for i in 0..all[0].len() {
+            let k = [0, 1, 2].map(|a| i64::from(all[0].k[a][i]));
             let place = self.digitisation.khalimsky_to_world(k);
             let close = closest_point(self.digitisation.shape(), place);
             let Some(close) = close.filter(|c| c.signed_distance.abs() < far) else {
                 continue;
             };
-            if at.flags[i] & Flag::Island.bit() != 0 {
+            let is_island =
+                |rows: &SurfelBatch| rows.curvatures[0].flags[i] & Flag::Island.bit() != 0;
+            if all.iter().any(is_island) {
                 continue;
             }
-            let found = [at.mean[i], at.gaussian[i]].map(f64::from);
-            let truth = [close.truth.mean_curvature, close.truth.gaussian_curvature];
-            for q in 0..2 {
-                let error = (found[q] - truth[q]).abs();
-                assert!(error.is_finite(), "{k:?}");
-                errors[2 * q] += error * error;
-                errors[2 * q + 1] = errors[2 * q + 1].max(error);
-            }
             count += 1.0;
+            let truth = [close.truth.mean_curvature, close.truth.gaussian_curvature];
+            for (errors, rows) in errors.iter_mut().zip(&all) {
+                let at = &rows.curvatures[0];
+                let found = [at.mean[i], at.gaussian[i]].map(f64::from);
+                for q in 0..2 {
+                    let error = (found[q] - truth[q]).abs();
+                    assert!(error.is_finite(), "{k:?}");
+                    errors[2 * q] += error * error;
+                    errors[2 * q + 1] = errors[2 * q + 1].max(error);
+                }
+            }
         }
-        errors[0] = (errors[0] / count).sqrt();
-        errors[2] = (errors[2] / count).sqrt();
+        for errors in &mut errors {
+            errors[0] = (errors[0] / count).sqrt();
+            errors[2] = (errors[2] / count).sqrt();
+        }
         errors
     }
 
     /// Ratios to the errors of the paper's method.
     fn ratios(&self, method: NamedMethod, gridstep: f64) -> [f64; 4] {
         let radius = 3.0 / gridstep.sqrt();
-        let paper = self.errors(NamedMethod::Paper, radius);
-        let errors = self.errors(method, radius);
+        let [paper, errors] = self.errors([NamedMethod::Paper, method], radius);
         std::array::from_fn(|i| errors[i] / paper[i])
     }
 }
@@ -115,11 +120,17 @@ fn refined_normals_halve_the_errors_of_the_paper_in_general_position() {
 
 #[test]
 fn under_noise_the_methods_are_no_worse_than_the_paper() {
-    for noise in [0.1, 0.3, 0.5] {
-        let case = moved("goursat", 1, 0.5, noise);
+    for (shape, noise) in [
+        ("goursat", 0.1),
+        ("sphere", 0.1),
+        ("goursat", 0.3),
+        ("sphere", 0.5),
+        ("rcube", 0.5),
+    ] {
+        let case = moved(shape, 1, 0.5, noise);
         for method in [NamedMethod::Default, NamedMethod::Refined] {
             let ratios = case.ratios(method, 0.5);
-            println!("p = {noise} {method:?}: {ratios:.3?}");
+            println!("{shape} p = {noise} {method:?}: {ratios:.3?}");
             // of the largest errors one surfel decides
             assert!(
                 ratios[0] < 1.0 && ratios[2] < 1.0,
@@ -143,7 +154,7 @@ fn a_sphere_of_20_voxels_has_its_curvature() {
         (NamedMethod::Refined, 4.0, 2.0),
         (NamedMethod::Refined, 5.0, 1.3),
     ] {
-        let [l2, ..] = case.errors(method, radius);
+        let [[l2, ..]] = case.errors([method], radius);
         println!("{method:?} at {radius}: {:.2} %", l2 * 20.0 * 100.0);
         assert!(l2 * 20.0 * 100.0 < percent, "{method:?} at {radius}: {l2}");
         assert!(
@@ -196,9 +207,9 @@ fn each_sheet_of_a_wall_two_voxels_thick_is_as_if_the_other_were_not_there() {
 #[test]
 fn faces_of_a_cube_are_flat_away_from_its_edges() {
     let cube = solid(|p| p.abs().max_element() <= 16.3);
-    for (method, reach, ringing) in [
-        (NamedMethod::Default, 9.0, 0.04),
-        (NamedMethod::Refined, 13.0, 0.04),
+    for (method, reach, rest) in [
+        (NamedMethod::Default, 9.0, 1e-6),
+        (NamedMethod::Refined, 13.0, 1e-3),
     ] {
         let rows = rows_of(&cube, method);
         let at = &rows.curvatures[0];
@@ -211,11 +222,11 @@ fn faces_of_a_cube_are_flat_away_from_its_edges() {
             if to_edge > reach {
                 flat += 1;
                 assert!(
-                    at.mean[i].abs() < 1e-6 && at.gaussian[i].abs() < 1e-9,
+                    at.mean[i].abs() < rest && at.gaussian[i].abs() < rest,
                     "{place}"
                 );
             } else if to_edge > 4.0 {
-                assert!(at.mean[i].abs() < ringing, "{place}: {}", at.mean[i]);
+                assert!(at.mean[i].abs() < 0.04, "{place}: {}", at.mean[i]);
             }
         }
         assert!(flat > 100);

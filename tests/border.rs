@@ -1,10 +1,10 @@
 use std::collections::HashMap;
 
-use curvox::measure::ball::{Extent, Weights};
+use curvox::measure::ball::{Compensation, Extent, Weights};
 use curvox::measure::field::Field;
 use curvox::normal::vcm::Side;
 use curvox::normal::{Estimator, Orientation};
-use curvox::pipeline::Settings;
+use curvox::pipeline::{NamedMethod, Settings};
 use curvox::sink::Flag;
 use curvox_tools::plain::Solid;
 
@@ -51,7 +51,12 @@ fn rows_without_the_border_flag_do_not_depend_on_the_crop() {
         (ii(2.0), 4.0, Field::Interpolated),
         (Estimator::Trivial, 3.0, Field::Linear),
     ] {
-        for weights in [Weights::Lumped, Weights::Sharp, Weights::Dgtal] {
+        for weights in [
+            Weights::Lumped,
+            Weights::Sharp,
+            Weights::Dgtal,
+            Weights::Compensated(Compensation::Averaged),
+        ] {
             for extent in [Extent::Connected, Extent::Whole] {
                 let settings = |solid: &Solid| Settings {
                     estimator,
@@ -62,33 +67,53 @@ fn rows_without_the_border_flag_do_not_depend_on_the_crop() {
                     radii: vec![radius],
                     ..Settings::new(lattice(solid, [1.0; 3], false))
                 };
-                let (all, _) = piped(&solid, &settings(&solid));
-                let at: HashMap<_, _> = (0..all.len()).map(|i| (all.k_at(i), i)).collect();
-                let part = cropped(&solid, crop);
-                let (rows, _) = piped(&part, &settings(&part));
-                let mut compared = 0;
-                for i in 0..rows.len() {
-                    if rows.curvatures[0].flags[i] & Flag::Border.bit() != 0 {
-                        continue;
-                    }
-                    let mut k = rows.k_at(i);
-                    k[0] += 2 * crop;
-                    let j = at[&k];
-                    let (a, b) = (&rows.curvatures[0], &all.curvatures[0]);
-                    let bits = |c: &curvox::sink::CurvatureColumns, i: usize| {
-                        [c.mean[i], c.gaussian[i], c.k1[i], c.k2[i], c.quality[i]].map(f32::to_bits)
-                    };
-                    assert_eq!(
-                        bits(a, i),
-                        bits(b, j),
-                        "{k:?} {estimator:?} {weights:?} {extent:?} {field:?}"
-                    );
-                    compared += 1;
-                }
-                assert!(compared > 300, "{compared} rows compared");
+                let what = format!("{estimator:?} {weights:?} {extent:?} {field:?}");
+                the_crop_does_not_show(&solid, crop, settings, &what);
             }
         }
     }
+}
+
+/// Compares the rows of a solid with those of a part of it, where they have no flag.
+fn the_crop_does_not_show(
+    solid: &Solid,
+    crop: i32,
+    settings: impl Fn(&Solid) -> Settings,
+    what: &str,
+) {
+    let (all, _) = piped(solid, &settings(solid));
+    let at: HashMap<_, _> = (0..all.len()).map(|i| (all.k_at(i), i)).collect();
+    let part = cropped(solid, crop);
+    let (rows, _) = piped(&part, &settings(&part));
+    let mut compared = 0;
+    for i in 0..rows.len() {
+        if rows.curvatures[0].flags[i] & Flag::Border.bit() != 0 {
+            continue;
+        }
+        let mut k = rows.k_at(i);
+        k[0] += 2 * crop;
+        let j = at[&k];
+        let (a, b) = (&rows.curvatures[0], &all.curvatures[0]);
+        let bits = |c: &curvox::sink::CurvatureColumns, i: usize| {
+            [c.mean[i], c.gaussian[i], c.k1[i], c.k2[i], c.quality[i]].map(f32::to_bits)
+        };
+        assert_eq!(bits(a, i), bits(b, j), "{k:?} {what}");
+        compared += 1;
+    }
+    assert!(compared > 300, "{compared} rows compared");
+}
+
+#[test]
+fn refined_rows_without_the_border_flag_do_not_depend_on_the_crop() {
+    let solid = Solid::from_fn([110, 34, 34], |[x, y, z]| {
+        let rod = 9.0 + 2.0 * (f64::from(x) / 6.0).sin();
+        f64::from(y - 17).hypot(f64::from(z) - 16.4) <= rod
+    });
+    let settings = |solid: &Solid| Settings {
+        quality: true,
+        ..Settings::new(lattice(solid, [1.0; 3], false)).with_method(NamedMethod::Refined, 2.5)
+    };
+    the_crop_does_not_show(&solid, 21, settings, "refined");
 }
 
 #[test]

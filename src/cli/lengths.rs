@@ -97,7 +97,8 @@ impl Length {
     /// So many times as long.
     pub(crate) fn times(&self, factor: f64) -> Self {
         // without the noise of the last digits
-        let number = (self.number * factor * 1e9).round() / 1e9;
+        let number = self.number * factor;
+        let number = format!("{number:.11e}").parse().unwrap_or(number);
         let unit = self
             .unit
             .map_or_else(|| "vx".to_owned(), |unit| unit.to_string());

@@ -45,7 +45,7 @@ pub(crate) struct MethodArgs {
     normal_radius: Option<Length>,
 
     /// Normals: average (of the surface), ii (digital integral invariants), vcm (Voronoi covariance
-    /// measure), gradient (of the grey values), given (--normals-from), trivial [default: average]
+    /// measure), gradient (of the grey values), given (--normals-from), trivial [default: average; with --method paper and --curvature ii: ii]
     #[arg(
         long,
         value_enum,
@@ -144,7 +144,7 @@ pub(crate) struct MethodArgs {
     ///
     /// compensated: positive weights that fall with the distance, up to 1.2 times the radius; where the curvature changes
     /// within the ball, weights that turn negative, up to 1.6 times the radius, so that it is not flattened (but not where the
-    /// surface is noise, as many walls and tips one voxel thick show). With --normals ii, vcm and trivial the default is lumped.
+    /// surface is noise, as many walls and tips one voxel thick show). With --normals ii, vcm, gradient and trivial the default is lumped.
     #[arg(
         long,
         value_enum,
@@ -156,8 +156,8 @@ pub(crate) struct MethodArgs {
 
     /// A named choice of the options above, each of which still overrides it
     ///
-    /// default: as said at each option; robust and fast. refined: for clean segmentations of smooth objects, about half
-    /// the error and a few times the time: the normals are fitted in five passes such that the surface stays between the
+    /// default: as said at each option; robust and fast. refined: for clean segmentations of smooth objects, half
+    /// the paper's error on most, and a few times the time: the normals are fitted in five passes such that the surface stays between the
     /// voxels on either side. Where the surface is noise it is as the default. paper: as the authors of the corrected
     /// curvature measures compute them with DGtal: --normals ii --orientation dgtal --ball connected --weights dgtal.
     #[arg(
@@ -334,9 +334,10 @@ impl MethodArgs {
     fn weights(&self, normals: Normals) -> WeightRule {
         let own = match normals {
             _ if self.method == Method::Paper => WeightRule::Dgtal,
-            Normals::Average | Normals::Gradient | Normals::Given => WeightRule::Compensated,
+            // A table of the default's normals gives the default's curvatures.
+            Normals::Average | Normals::Given => WeightRule::Compensated,
             // Measured with ii: compensated is worse on spheres and better on Goursat's surface.
-            Normals::Ii | Normals::Vcm | Normals::Trivial => WeightRule::Lumped,
+            _ => WeightRule::Lumped,
         };
         self.weights.unwrap_or(own)
     }
@@ -472,9 +473,12 @@ impl MethodArgs {
         };
         let normal_length = self.normal_radius.as_ref().unwrap_or(&own_length);
         let refinement = refined.then_some(radii[smallest].voxels);
-        if let Some(radius) = refinement {
-            RefineKernel::new(radius, lattice)
-                .map_err(|error| usage(format!("--radius {}: {error}", asked[smallest])))?;
+        if refinement.is_some_and(|radius| radius > RefineKernel::LARGEST_RADIUS) {
+            return Err(usage(format!(
+                "--radius {}: --method refined takes up to {} voxels, as it looks twice as far",
+                asked[smallest],
+                RefineKernel::LARGEST_RADIUS
+            )));
         }
         let normal_radius = if !matches!(normals, Normals::Ii | Normals::Vcm | Normals::Average) {
             if self.normal_radius.is_some() {

@@ -33,7 +33,8 @@
 //! With a continuous field ([`super::field`]) all measures lie on surfels: `Sharp` is then the same as
 //! `Lumped`, and `Dgtal` takes a surfel's share of all its measures. mu_Omega is summed if it was evaluated.
 //!
-//! Guaranteed: sums are of integers, so exact; which cells take part is decided in integers
+//! Guaranteed: sums are of integers, so exact, but for `Compensated`, which sums floating point numbers in the order of
+//! the walk: that begins at the surfel and knows nothing of the cut into bricks. Which cells take part is decided in integers
 //! (except with `Dgtal`, whose shares, rounded to 2^-48 each, and pointels go by distances in
 //! floating point). `Sharp` counts fewer linels
 //! than the rim of the set has a share in, so it is low by about 0.6 / rho; it is what makes
@@ -132,7 +133,8 @@ impl Weights {
     #[must_use]
     pub fn support(self) -> f64 {
         match self {
-            Weights::Compensated(of) => of.support().max(ROBUST_WIDENING),
+            // The same for both: where they agree to be robust, they sum the same part of the surface.
+            Weights::Compensated(_) => Compensation::Averaged.support(),
             _ => 1.0,
         }
     }
@@ -511,7 +513,11 @@ impl BallKernel {
         let per_area = [6.0 * per_squared[0], 2.0 * per_squared[1]];
         let area = [0, 1].map(|i| sums[i][0] * per_area[i]);
         let noisy = rise(f64::from(ridges) / f64::from(count.max(1)), NOISY_SHARE);
-        let eaten = 1.0 - rise(area[0], EATEN_AREA.map(|share| share * area[1]));
+        let eaten = if area[1] > 0.0 {
+            1.0 - rise(area[0] / area[1], EATEN_AREA)
+        } else {
+            1.0
+        };
         // How much the two ways differ, in units of what the staircase makes them differ.
         let mut squares = 0.0;
         for term in 1..7 {
@@ -719,7 +725,7 @@ impl BallKernel {
 
 /// 0 below a range, 1 above it, and smooth between.
 pub(crate) fn rise(x: f64, [from, to]: [f64; 2]) -> f64 {
-    // not clamp: of an empty range, or of what is no number, it is 0
+    // not clamp: of what is no number it is 0
     let s = if x > from {
         ((x - from) / (to - from)).min(1.0)
     } else {

@@ -32,10 +32,12 @@
 //!
 //! **Where it gives way.** Where many surfels of C(p) are ridges ([`crate::measure::surface::Surface::is_ridge`]), the surface
 //! is noisy, segments hold nothing, and u(p) is the first normal: between the shares of
-//! [`crate::measure::ball::NOISY_SHARE`] it is between both. A fit without enough surfels has a lower degree, or leaves the normal as it is.
+//! [`crate::measure::ball::NOISY_SHARE`] it is between both. A fit without enough surfels has a lower degree, or leaves the normal as it is,
+//! and so does one that turns it farther than it looks. Surfels that have no normal of their own keep the trivial one.
 //!
 //! Guaranteed: sums run in the order of the walk over C(p), which knows nothing of the cut into bricks; no
-//! fused operations. Not guaranteed: that a surface within all segments exists near u.
+//! fused operations. What the border of an open image could change is told, through all passes: about 10 radii from
+//! the border. Not guaranteed: that a surface within all segments exists near u.
 
 use glam::DVec3;
 
@@ -98,6 +100,8 @@ pub struct Estimate {
     pub u: DVec3,
     /// Where the surface crosses the segment of the surfel: from the centroid along n, in edges of the voxel.
     pub offset: f64,
+    /// What is beyond the border of an open image could change the estimate.
+    pub cut: bool,
 }
 
 /// What a pass gives for a surfel.
@@ -107,8 +111,6 @@ pub struct Refined {
     pub estimate: Estimate,
     /// How noisy the surface around is: 0 not at all, 1 as noise.
     pub noise: f64,
-    /// The border of an open image cuts the surface around.
-    pub cut: bool,
 }
 
 /// A surfel as a fit takes it.
@@ -120,6 +122,7 @@ struct Sample {
     shift: DVec3,
     /// The area of the surface that it stands for.
     area: f64,
+    cut: bool,
 }
 
 /// A pass over some surfels.
@@ -153,6 +156,7 @@ impl Work for PassOver<'_> {
                 u: estimate.u,
                 shift: n * (estimate.offset * kernel.edges[along]),
                 area: n.dot(estimate.u).max(0.0) * areas[along],
+                cut: estimate.cut,
             });
         }
         let mut ridges = Vec::new();
@@ -180,9 +184,11 @@ impl Work for PassOver<'_> {
                 &mut scratch,
             );
             refined.push(Refined {
-                estimate,
+                estimate: Estimate {
+                    cut: estimate.cut || rim.open,
+                    ..estimate
+                },
                 noise: rise(share, NOISY_SHARE),
-                cut: rim.open,
             });
         }
         refined
@@ -200,13 +206,15 @@ struct Scratch {
 }
 
 impl RefineKernel {
+    /// The largest radius, in voxel units: fits look twice as far.
+    pub const LARGEST_RADIUS: f64 = MAX_RADIUS / 2.0;
+
     /// Prepares for the radius of the measures, in voxel units.
     ///
     /// # Errors
     /// If it cannot be used.
     pub fn new(radius: f64, lattice: &Lattice) -> Result<Self, LatticeError> {
-        let widest = PASSES.iter().map(|pass| pass.radius).fold(1.0, f64::max);
-        let largest = MAX_RADIUS / widest;
+        let largest = Self::LARGEST_RADIUS;
         if radius > largest {
             return Err(LatticeError::Ball { radius, largest });
         }
@@ -272,13 +280,14 @@ impl RefineKernel {
     ) -> Estimate {
         let Scratch { walker, x, y, z, w } = scratch;
         let surfels = &surface.surfels.list;
-        let u = samples[start].u;
+        let Sample { u, mut cut, .. } = samples[start];
         let (e1, e2) = tangents(u);
         let centre = surfels[start].k;
         let half = self.edges * 0.5;
         let per_radius = 1.0 / ball.radius;
         let per_squared = 1.0 / ball.squared;
         let per_turn = 1.0 / (1.0 - pass.cosine);
+        let steepest = 1.0 / (pass.cosine * pass.cosine) - 1.0;
         for list in [&mut *x, &mut *y, &mut *z, &mut *w] {
             list.clear();
         }
@@ -288,6 +297,7 @@ impl RefineKernel {
             if cosine <= pass.cosine || sample.area <= 0.0 {
                 continue;
             }
+            cut |= sample.cut;
             let d = displacement(surfels[q as usize].k, centre);
             let t = ball.metric.squared(d) as f64 * per_squared;
             let turned = (cosine - pass.cosine) * per_turn;
@@ -309,11 +319,13 @@ impl RefineKernel {
         let along = axis(surfels[start].orientation);
         let edge = trivial_normal(surfels[start].orientation) * self.edges[along] * per_radius;
         match fit.crossing([edge.dot(e1), edge.dot(e2), edge.dot(u)], offset) {
-            Some((at, [fx, fy])) => Estimate {
+            // A normal that turns out of those that took part comes from too few of them.
+            Some((at, [fx, fy])) if fx * fx + fy * fy <= steepest => Estimate {
                 u: (u - e1 * fx - e2 * fy).normalize(),
                 offset: (offset + pass.relaxation * (at - offset)).clamp(-0.5, 0.5),
+                cut,
             },
-            None => Estimate { u, offset },
+            _ => Estimate { u, offset, cut },
         }
     }
 }

@@ -56,6 +56,9 @@ const NORMAL_SCRATCH_BYTES: u64 = 50;
 /// Scratch of a worker for each voxel of a brick whose integral invariants are taken, at worst.
 const INVARIANT_SCRATCH_BYTES: u64 = 300;
 
+/// Scratch of a worker for each surfel of a brick and its halo in a pass that refines normals: place, links, estimate, sample.
+const REFINING_SCRATCH_BYTES: u64 = 170;
+
 /// Memory of a surfel in flight for each pass that refines normals: u, offset, marks.
 const REFINED_BYTES: u64 = 33;
 
@@ -439,7 +442,7 @@ impl Plan {
             let of_passes = if refining_reach.is_empty() {
                 0
             } else {
-                grown(widest_pass, DENSE * SCRATCH_BYTES as f64)
+                grown(widest_pass, DENSE * REFINING_SCRATCH_BYTES as f64)
             };
             of_sums.max(of_normals).max(of_passes) * request.threads as u64
         };

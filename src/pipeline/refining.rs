@@ -100,18 +100,22 @@ fn refine_brick(
         estimates.extend(run.map(|i| Estimate {
             u: from.u[i],
             offset: from.offsets.get(i).copied().unwrap_or(0.0),
+            cut: from.marks[i] & mark::CUT != 0,
         }));
     });
     let starts: Vec<usize> = (0..surface.len())
         .filter(|&i| core.contains(surface.surfels.oriented(i).cell()))
         .collect();
-    let refined = kernel.pass(number, &surface, &estimates, &starts);
+    let mut refined = kernel.pass(number, &surface, &estimates, &starts);
     let is_last = number + 1 == kernel.passes();
     let first = brick.first.as_deref().unwrap_or(&brick.u);
     let mut marks = brick.marks.clone();
-    for (mark, refined) in marks.iter_mut().zip(&refined) {
-        if refined.cut {
+    for ((mark, refined), &first) in marks.iter_mut().zip(&mut refined).zip(first) {
+        if refined.estimate.cut {
             *mark |= mark::CUT;
+        }
+        if *mark & mark::DEGENERATE != 0 {
+            (refined.estimate.u, refined.estimate.offset) = (first, 0.0);
         }
     }
     if is_last {

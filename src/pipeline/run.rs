@@ -137,7 +137,9 @@ pub fn run(
         let sunk = stage(shared, || sending::sink(shared, rows_in, &sound_in, sinks));
         let reader = joined(reader);
         let normals = joined(normals);
-        let passes = passes.into_iter().try_for_each(joined);
+        // All are joined before any is looked at.
+        let passes: Vec<_> = passes.into_iter().map(joined).collect();
+        let passes = passes.into_iter().collect();
         let cells = joined(cells);
         let sums = joined(sums);
         let mut outcome = Outcome::default();

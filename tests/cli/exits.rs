@@ -48,8 +48,7 @@ fn usage_errors_give_2() {
                 "--method",
                 "refined",
             ],
-            "--radius 32vx: a ball of measures of radius 32 voxels is too large for voxels of this \
-             shape and these weights, expected at most 31.50",
+            "--radius 32vx: --method refined takes up to 31.5 voxels",
         ),
         (
             &["--threshold", "1", "--method", "refined", "--normals", "ii"],

@@ -158,7 +158,7 @@ pub(crate) fn whole_with(solid: &Solid, settings: &Settings, given: Option<&[DVe
         normals.u = given.to_vec();
     }
     if let Some(radius) = settings.refinement {
-        normals.u = refined(&surface, radius, lattice, &normals.u);
+        normals.u = refined(&surface, radius, lattice, &normals.u, &normals.degenerate);
     }
     let marks: Vec<u8> = normals
         .degenerate
@@ -206,15 +206,25 @@ pub(crate) fn refined(
     radius: f64,
     lattice: &Lattice,
     first: &[DVec3],
+    degenerate: &[bool],
 ) -> Vec<DVec3> {
     let kernel = RefineKernel::new(radius, lattice).unwrap();
     let starts: Vec<usize> = (0..surface.len()).collect();
     let mut around: Vec<Estimate> = (first.iter())
-        .map(|&u| Estimate { u, offset: 0.0 })
+        .map(|&u| Estimate {
+            u,
+            offset: 0.0,
+            cut: false,
+        })
         .collect();
     let mut last = Vec::new();
     for number in 0..kernel.passes() {
         last = kernel.pass(number, surface, &around, &starts);
+        for (i, refined) in last.iter_mut().enumerate() {
+            if degenerate[i] {
+                (refined.estimate.u, refined.estimate.offset) = (first[i], 0.0);
+            }
+        }
         around = last.iter().map(|refined| refined.estimate).collect();
     }
     let settled = last

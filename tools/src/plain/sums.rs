@@ -27,13 +27,7 @@ impl Weights {
     /// Radius of the surfels that take part, in radii.
     fn support(self) -> f64 {
         match self {
-            Weights::Compensated { refined } => {
-                if refined {
-                    1.4
-                } else {
-                    1.6
-                }
-            }
+            Weights::Compensated { .. } => 1.6,
             _ => 1.0,
         }
     }
@@ -248,7 +242,11 @@ impl Ball {
         let of_plane = [supports[0].powi(2) / 6.0, supports[1].powi(2) / 2.0];
         let area = [0, 1].map(|i| sums[i].mu0 / of_plane[i]);
         let noisy = rise(ridges / walk.members.len() as f64, 0.07, 0.14);
-        let eaten = 1.0 - rise(area[0], 0.4 * area[1], 0.6 * area[1]);
+        let eaten = if area[1] > 0.0 {
+            1.0 - rise(area[0] / area[1], 0.4, 0.6)
+        } else {
+            1.0
+        };
         let per_area = sums.map(|s| s.tensor.map(|t| t / s.mu0));
         let difference: f64 = (0..6)
             .map(|e| (per_area[0][e] - per_area[1][e]).powi(2) * if e < 3 { 1.0 } else { 2.0 })
