@@ -208,6 +208,15 @@ impl Work for SumsOf<'_> {
     #[inline(always)]
     fn run(self) -> Vec<BallSums> {
         let mut scratch = BallScratch::default();
+        if let Weights::Compensated(_) = self.kernel.weights {
+            // once, since each is multiplied many times; all are below 2^53
+            let floats = self
+                .measures
+                .lumped
+                .iter()
+                .map(|lump| lump.map(|x| x as f64));
+            scratch.lumped = floats.collect();
+        }
         // A loop and not an iterator: what an adapter calls is compiled for the baseline.
         let mut sums = Vec::with_capacity(self.starts.len());
         for &start in self.starts {
@@ -227,6 +236,8 @@ struct BallScratch {
     linel_seen: Vec<u32>,
     umbrella_seen: Vec<(u32, u32)>,
     epoch: u32,
+    /// The lumped measures as they are for sums with weights by distance.
+    lumped: Vec<[f64; 8]>,
 }
 
 /// One, in the unit of the shares of `Dgtal`: finer than the measures they multiply.
@@ -485,29 +496,50 @@ impl BallKernel {
         let mut sums = [[0.0f64; 8]; 2];
         let mut omega = [0.0f64; 2];
         let (mut ridges, mut count) = (0u32, 0u32);
-        let mut add = |q: usize| {
+        let weights_of = |q: usize| {
             let d = displacement(surface.surfels.list[q].k, centre);
             let [x, y, z] = [0, 1, 2].map(|a| half[a] * f64::from(d[a]));
             let squared = x * x + y * y + z * z;
             let [t, r] = per_squared.map(|per| (squared * per).min(1.0));
-            let weights = [(1.0 - t) * (1.0 - 2.0 * t), 1.0 - r];
-            let lump = &measures.lumped[q];
-            for (sums, weight) in sums.iter_mut().zip(weights) {
-                for (sum, &x) in sums.iter_mut().zip(lump) {
-                    *sum += weight * x as f64;
-                }
+            [(1.0 - t) * (1.0 - 2.0 * t), 1.0 - r]
+        };
+        let mut add = |q: usize| {
+            let weights = weights_of(q);
+            let lump = &scratch.lumped[q];
+            for term in 0..8 {
+                sums[0][term] += weights[0] * lump[term];
             }
-            if let Some(&x) = measures.omega.get(q) {
-                for (omega, weight) in omega.iter_mut().zip(weights) {
-                    *omega += weight * x as f64;
-                }
+            for term in 0..8 {
+                sums[1][term] += weights[1] * lump[term];
             }
             ridges += u32::from(measures.marks[q] & mark::RIDGE != 0);
             count += 1;
         };
         match self.extent {
-            Extent::Connected => scratch.walker.part().iter().for_each(|&q| add(q as usize)),
-            Extent::Whole => self.for_each_run(surface, start, |range| range.for_each(&mut add)),
+            Extent::Connected => {
+                for &q in scratch.walker.part() {
+                    add(q as usize);
+                }
+            }
+            Extent::Whole => self.for_each_run(surface, start, |range| {
+                for q in range {
+                    add(q);
+                }
+            }),
+        }
+        if !measures.omega.is_empty() {
+            let mut add = |q: usize| {
+                let x = measures.omega[q] as f64;
+                for (omega, weight) in omega.iter_mut().zip(weights_of(q)) {
+                    *omega += weight * x;
+                }
+            };
+            match self.extent {
+                Extent::Connected => scratch.walker.part().iter().for_each(|&q| add(q as usize)),
+                Extent::Whole => {
+                    self.for_each_run(surface, start, |range| range.for_each(&mut add))
+                }
+            }
         }
         // The weights of a plane: 1/6 and 1/2 of the discs.
         let per_area = [6.0 * per_squared[0], 2.0 * per_squared[1]];
@@ -554,6 +586,7 @@ impl BallKernel {
             linel_seen,
             umbrella_seen,
             epoch,
+            ..
         } = scratch;
         let mut sums = WideSums::default();
         // A linel counts when its second surfel is met, an umbrella when its last one is.
@@ -603,6 +636,7 @@ impl BallKernel {
             linel_seen,
             umbrella_seen,
             epoch,
+            ..
         } = scratch;
         let mut sums = WideSums::default();
         let mut add = |i: usize, share: i128| {

@@ -29,7 +29,7 @@ use serde::Serialize;
 
 use crate::curvature::integral::InvariantKernel;
 use crate::lattice::Lattice;
-use crate::measure::ball::BallKernel;
+use crate::measure::ball::{BallKernel, Weights};
 use crate::normal::refine::RefineKernel;
 use crate::normal::{NormalKernel, given};
 use crate::sink::{NormalTable, Parts};
@@ -49,6 +49,9 @@ pub const SCRATCH_BYTES: u64 = 120;
 
 /// The same where linels and pointels are summed each for itself.
 pub const CELL_SCRATCH_BYTES: u64 = 300;
+
+/// The same for the measures of a surfel as floating point numbers, for weights by distance.
+const FLOAT_BYTES: u64 = 64;
 
 /// Scratch of a worker for each surfel that a normal may look at.
 const NORMAL_SCRATCH_BYTES: u64 = 50;
@@ -406,7 +409,9 @@ impl Plan {
             tiles(planes, Sparse::grey_row_bytes(access.voxel_bytes))
                 .unwrap_or_else(|| stored_plane.saturating_mul(planes.min(z)))
         };
+        let by_distance = |ball: &BallKernel| matches!(ball.weights(), Weights::Compensated(_));
         let surfel_scratch = omega_bytes
+            + only_if(balls.iter().any(by_distance), FLOAT_BYTES)
             + if lumped {
                 SCRATCH_BYTES
             } else {
