@@ -3,7 +3,8 @@
 //! Each shape is digitised at several gridsteps h, with its axes along the grid and in general positions
 //! ([`crate::moved`]), with and without noise of the paper's section 6.1.6 or box voxels; each method is run with
 //! the paper's radius 3 h^(1/2). Errors are taken at the closest point of the true surface, over the surfels
-//! within two voxels of it that are on no island, as specks that the noise puts elsewhere have no true curvature.
+//! within two voxels of it that are on no island, as specks that the noise puts elsewhere have no true curvature, and that have a
+//! value with every method.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -206,11 +207,12 @@ impl Case {
             .collect();
         let computed = computed?;
         let mut truth = self.truth(&computed[0].0);
-        // What is an island to one method is left out for all.
+        // What is an island to one method, or has no value, is left out for all.
+        let without = Flag::Island.bit() | Flag::NoArea.bit();
         for (rows, _) in &computed {
             let flags = rows.iter().flat_map(|batch| &batch.curvatures[0].flags);
             for (truth, flags) in truth.iter_mut().zip(flags) {
-                if flags & Flag::Island.bit() != 0 {
+                if flags & without != 0 {
                     *truth = None;
                 }
             }
