@@ -223,7 +223,7 @@ impl Case {
             let spacing = if self.flat { "1x1x2" } else { "1x1x1" };
             let _ = write!(
                 csv,
-                "{},{},{},{},{spacing},\"{name}\",{},{}",
+                "\"{}\",{},{},{},{spacing},\"{name}\",{},{}",
                 self.shape, self.gridstep, self.position, self.noise, trial.surfels, trial.left_out
             );
             for error in trial.errors.iter().flatten() {
