@@ -89,8 +89,7 @@ pub enum Compensation {
 }
 
 impl Compensation {
-    /// Support of W, in radii. *Measured*: of averages 1.5 gives 1.1 times the errors that 1.6 gives, of refined normals 1.2 and
-    /// 1.6 give 2 % more than 1.4.
+    /// Support of W, in radii. *Measured*: of refined normals 1.2 and 1.6 give 1.5 % more than 1.4.
     #[must_use]
     pub fn support(self) -> f64 {
         match self {
@@ -100,7 +99,7 @@ impl Compensation {
     }
 
     /// Contrasts between which W takes over from the robust weights. *Measured*: on spheres, where both are right, 95 % of averages are below
-    /// 0.44 and of refined normals below 0.26; half and twice these limits give 3 to 10 % more.
+    /// 0.44 and of refined normals below 0.27; limits of half as much, and of 1.3 (averages) or 2 times, give up to 3 % more.
     #[must_use]
     pub fn contrast(self) -> [f64; 2] {
         match self {
@@ -114,8 +113,8 @@ impl Compensation {
 pub const ROBUST_WIDENING: f64 = 1.2;
 
 /// Shares of ridges in C(p) between which the weights change. *Measured* at radius 3 h^(-1/2) voxels: on smooth shapes
-/// at most 0.06 (0.03 from h = 1/2 on) but for a torus whose tube is two voxels thick; with noise p = 0.1 of the paper's section 6.1.6
-/// at least 0.14, at p = 0.3 at least 0.45.
+/// at most 0.063 (0.053 from h = 1/2 on) but for a torus whose tube is two voxels thick, 0.18; with noise p = 0.1 of the
+/// paper's section 6.1.6 99 in 100 surfels have at least 0.138, at p = 0.3 at least 0.46.
 pub const NOISY_SHARE: [f64; 2] = [0.07, 0.14];
 
 /// Corrected area by the compensated weights over that by the robust ones, below which
