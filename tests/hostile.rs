@@ -487,7 +487,7 @@ fn the_same_volume_in_other_formats_gives_the_same_rows() {
             let path = formats.join(path.trim_end_matches('/'));
             let folder = tempfile::tempdir().unwrap();
             let output = folder.path().join("out");
-            let mut arguments = vec!["--spacing", spacing];
+            let mut arguments = vec!["--spacing", spacing, "--radius", "3vx"];
             arguments.extend(options.iter().map(String::as_str));
             run_on(&path, By::Path, &arguments, &output).expect(DONE);
             let summary = std::fs::read(output.join("summary.json")).unwrap();
@@ -558,7 +558,7 @@ fn how_a_run_is_done_does_not_show() {
             "formats/head-ct/plain.nii",
             "500",
             "96MiB",
-            &["--directions"][..],
+            &["--directions", "--radius", "3vx"][..],
         ),
         (
             "formats/head-ct/plain.nii",
@@ -569,7 +569,7 @@ fn how_a_run_is_done_does_not_show() {
                 "--radius", "2vx,4vx", "--method", "paper", "--slices", "x=30..34",
             ],
         ),
-        ("volumes/lobster.vol", "40", "96MiB", &[]),
+        ("volumes/lobster.vol", "40", "96MiB", &["--radius", "3vx"]),
     ] {
         let path: PathBuf = data.join(path);
         let mut expected = None;

@@ -235,6 +235,7 @@ fn two_small_things_in_opposite_corners_of_a_huge_volume_take_default_memory() {
                 world: 2.0,
             }],
             directions: false,
+            errors: false,
             quality: false,
             parameters: serde_json::Value::Null,
             version: "test".into(),

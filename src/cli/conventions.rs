@@ -67,6 +67,7 @@ Examples:
 pub(crate) const RUN_EXAMPLES: &str = "\
 Examples:
   curvox run scan.nii.gz --threshold 300 -o out
+  curvox run scan.nii.gz --threshold 300 --radius auto -o out
   curvox run labels.nii.gz --label 3 --radius 3vx,6vx --directions -o out
   curvox run scan.raw --dims 2048,2048,1500 --dtype u16le --spacing 0.65um --otsu -o out
   curvox run scan.npy --spacing 1,1,2um --range 80..120 --radius 12um --slices every:50 -o out
@@ -110,7 +111,7 @@ Conventions:
   The surface is open at the border of the image (--closed closes it); rows near it are flagged.
   Lengths carry a unit: 3vx is 3 voxels (1vx is the longest edge of a voxel), 12um, 0.8mm.
   Flags of a row: border, several_sheets, island, radius_too_large, normal_opposed, lifted,
-  degenerate_normal, no_area; their bits are in the metadata of the table and in summary.json.";
+  degenerate_normal, no_area, rough; their bits are in the metadata of the table and in summary.json.";
 
 /// Exit codes, for every help page and the manual.
 pub(crate) const EXIT_HELP: &str = "\

@@ -2,6 +2,7 @@
 
 use std::ffi::OsStr;
 use std::io::IsTerminal;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
@@ -208,6 +209,14 @@ impl InputArgs {
             "level": self.level,
             "region": region,
         })
+    }
+
+    /// The same input, of which only a box is read, in the indices of the file.
+    pub(crate) fn within(&self, region: [Range<i64>; 3]) -> Self {
+        Self {
+            region: Some(IndexBox(region)),
+            ..self.clone()
+        }
     }
 
     /// Opens the volume for whoever is not bound to a memory.

@@ -6,6 +6,7 @@ use anyhow::Result;
 use clap::Args;
 use curvox_formats::{Content, Volume};
 
+use crate::lattice::Lattice;
 use crate::normal::Estimator;
 use crate::pipeline::{Access, Plan, Settings};
 use crate::sink::{NormalTable, TableInfo};
@@ -16,6 +17,8 @@ use super::exit::{BadInput, usage};
 use super::input::{self, CriterionArgs, InputArgs, Inside};
 use super::method::{MethodArgs, ResolvedMethod};
 use super::output::OutputArgs;
+use super::progress::Style;
+use super::scale::{RadiusChoice, Search};
 use super::{sizes, values};
 
 /// Arguments of `run` and `plan`.
@@ -61,6 +64,8 @@ pub(crate) struct Job {
     pub(crate) criterion: Criterion,
     /// The threshold, where it was found by Otsu's method.
     pub(crate) otsu: Option<f64>,
+    /// Why the radius is what it is, where it was chosen from the data.
+    pub(crate) radius_choice: Option<RadiusChoice>,
     pub(crate) method: ResolvedMethod,
     pub(crate) settings: Settings,
     pub(crate) plan: Plan,
@@ -80,13 +85,34 @@ fn outside_of_level_set(volume: &Volume, inside: &Inside) -> Option<String> {
 }
 
 impl JobArgs {
+    /// The settings of a run by a method, on this machine.
+    fn settings(&self, lattice: &Lattice, method: &ResolvedMethod) -> Settings {
+        let mut settings = Settings::new(lattice.clone());
+        settings.adjacency = method.adjacency;
+        settings.estimator = method.estimator;
+        settings.refinement = method.refinement;
+        settings.curvature = method.curvature;
+        settings.radii = method.radii.iter().map(|r| r.voxels).collect();
+        settings.extent = method.extent;
+        settings.weights = method.weights;
+        settings.field = method.field;
+        settings.directions = method.directions;
+        settings.quality = method.quality;
+        settings.memory_bytes = self.resources.memory;
+        settings.brick = self.resources.brick;
+        if let Some(threads) = self.resources.threads {
+            settings.threads = threads.into();
+        }
+        settings
+    }
+
     /// Opens the input and settles everything before the first voxel is used.
-    pub(crate) fn prepare(&self, stop: &AtomicBool) -> Result<Job> {
+    pub(crate) fn prepare(&self, style: Style, stop: &AtomicBool) -> Result<Job> {
         // Copies of inputs that are not read forward leave most of the memory to the run.
         let mut volume = self.input.open_within(self.resources.memory / 4)?;
         let lattice = input::lattice(&volume, self.method.closed)?;
         // Mistakes of the command line are found before a long pass over the data.
-        let method = self.method.resolve(&lattice, volume.header.unit)?;
+        let mut method = self.method.resolve(&lattice, volume.header.unit)?;
         let inside = self.criterion.inside(&volume.header, &self.input)?;
         if let Some(warning) = outside_of_level_set(&volume, &inside) {
             volume.header.warnings.push(warning);
@@ -110,35 +136,50 @@ impl JobArgs {
         let sink_bytes = self
             .output
             .sink_bytes(lattice.dims, self.resources.memory)?;
-        let mut settings = Settings::new(lattice);
-        settings.adjacency = method.adjacency;
-        settings.estimator = method.estimator;
-        settings.refinement = method.refinement;
-        settings.curvature = method.curvature;
+        let mut settings = self.settings(&lattice, &method);
         settings.given = given;
-        settings.radii = method.radii.iter().map(|r| r.voxels).collect();
-        settings.extent = method.extent;
-        settings.weights = method.weights;
-        settings.field = method.field;
-        settings.directions = method.directions;
-        settings.quality = method.quality;
-        settings.memory_bytes = self.resources.memory;
-        settings.brick = self.resources.brick;
         if let Some(threads) = self.resources.threads {
-            settings.threads = threads.into();
             // What is done beside the stages (values, slices) keeps to the number too. A pool that
             // is there already is as good.
             let _ = rayon::ThreadPoolBuilder::new()
                 .num_threads(threads.into())
                 .build_global();
         }
-        let plan = settings.plan(&Access::of(&volume), sink_bytes)?;
+        let mut plan = settings.plan(&Access::of(&volume), sink_bytes)?;
+        if self.method.radius_is_auto() && !settings.gives_errors() {
+            return Err(usage(
+                "--radius auto compares what only --method default and refined compute, with the normals and weights \
+                 that are theirs; give a radius",
+            ));
+        }
         let (criterion, otsu) = match inside {
             Inside::Given(criterion) => (criterion, None),
             Inside::Otsu => {
                 let threshold = values::otsu(&self.input, &volume, stop)?;
                 (Criterion::AtLeast(Number::from(threshold)), Some(threshold))
             }
+        };
+        let radius_choice = if self.method.radius_is_auto() {
+            let search = Search {
+                input: &self.input,
+                volume: &volume,
+                lattice: &lattice,
+                criterion,
+                memory_bytes: self.resources.memory,
+                style,
+                stop,
+            };
+            let at = |voxels: f64| -> Result<ResolvedMethod> {
+                let fixed = self.method.with_radius(voxels);
+                fixed.resolve(&lattice, volume.header.unit)
+            };
+            let choice = search.choose(|voxels| Ok(self.settings(&lattice, &at(voxels)?)))?;
+            method = at(choice.voxels)?;
+            settings = self.settings(&lattice, &method);
+            plan = settings.plan(&Access::of(&volume), sink_bytes)?;
+            Some(choice)
+        } else {
+            None
         };
         let header = &volume.header;
         let info = TableInfo {
@@ -150,6 +191,7 @@ impl JobArgs {
             direction: header.direction,
             radii: method.radii.clone(),
             directions: method.directions,
+            errors: settings.gives_errors(),
             quality: method.quality,
             parameters: method.parameters(criterion),
             version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -164,6 +206,7 @@ impl JobArgs {
             binarizer,
             criterion,
             otsu,
+            radius_choice,
             method,
             settings,
             plan,

@@ -1,6 +1,7 @@
 //! The method: normals, radii, ball, weights; what the rows depend on.
 
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 
 use anyhow::Result;
 use clap::{Args, ValueEnum};
@@ -19,21 +20,26 @@ use crate::normal::{Estimator, Orientation};
 use crate::sink::RadiusInfo;
 use crate::volume::Criterion;
 
-use super::exit::usage;
+use super::exit::{Usage, usage};
 use super::lengths::Length;
+use super::scale::default_radius;
 
 /// Options of the method.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct MethodArgs {
-    /// Radii of the balls the measures (or, with --curvature ii, the solid) are summed over; several give columns for each [default: 3vx]
+    /// Radii of the balls the measures (or, with --curvature ii, the solid) are summed over; several give columns for each [default: 6vx]
+    ///
+    /// Larger takes away more of the staircase of the grid and of noise, and flattens more detail; a curvature 1/R wants a radius well below R.
+    /// auto tries 3vx to 12vx and takes the one at which two estimates of H agree best, which reads the input several times.
+    /// The default is 6 mean edges of a voxel, and at least 3 of the longest: 3.8vx for voxels of 1 x 1 x 2.
     #[arg(
         long,
-        value_name = "LENGTH[,LENGTH]",
+        value_name = "LENGTH[,LENGTH]|auto",
         value_delimiter = ',',
         allow_hyphen_values = true,
         help_heading = "Method"
     )]
-    radius: Vec<Length>,
+    radius: Vec<Radius>,
 
     /// Radius of the ball the normals are estimated in [default: the smallest --radius, 1.2 times that for average]
     #[arg(
@@ -144,7 +150,7 @@ pub(crate) struct MethodArgs {
     ///
     /// compensated: positive weights that fall with the distance, up to 1.2 times the radius; where the curvature changes
     /// within the ball, weights that turn negative, up to 1.6 times the radius, so that it is not flattened (but not where the
-    /// surface is noise, as many walls and tips one voxel thick show). With --normals ii, vcm, gradient and trivial the default is lumped.
+    /// surface is noise, as many walls and tips one voxel thick show). With --normals ii, vcm and trivial the default is lumped.
     #[arg(
         long,
         value_enum,
@@ -194,6 +200,26 @@ pub(crate) struct MethodArgs {
     /// themselves, as those of no surface do. Its sign is that of a sense of rotation, and changes in a mirror.
     #[arg(long, help_heading = "Method")]
     quality: bool,
+}
+
+/// A radius as typed.
+#[derive(Clone, Debug, PartialEq)]
+enum Radius {
+    /// To be chosen from the data.
+    Auto,
+    /// Given.
+    Length(Length),
+}
+
+impl FromStr for Radius {
+    type Err = Usage;
+
+    fn from_str(text: &str) -> Result<Self, Usage> {
+        if text.trim() == "auto" {
+            return Ok(Self::Auto);
+        }
+        text.parse().map(Self::Length)
+    }
 }
 
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq)]
@@ -311,6 +337,40 @@ impl MethodArgs {
         self.normals_from.as_deref()
     }
 
+    /// Whether the radius is to be chosen from the data.
+    pub(crate) fn radius_is_auto(&self) -> bool {
+        self.radius.contains(&Radius::Auto)
+    }
+
+    /// The same with one radius, in voxels.
+    pub(crate) fn with_radius(&self, voxels: f64) -> Self {
+        Self {
+            radius: vec![Radius::Length(Length::voxels(voxels))],
+            ..self.clone()
+        }
+    }
+
+    /// The lengths of the radii; those that are still to be chosen are the default.
+    fn lengths(&self, lattice: &Lattice) -> Result<Vec<Length>> {
+        if self.radius_is_auto() && self.radius.len() > 1 {
+            return Err(usage(
+                "--radius auto chooses one radius; leave the others out",
+            ));
+        }
+        let default = Length::voxels(default_radius(lattice));
+        let given: Vec<Length> = (self.radius.iter())
+            .map(|radius| match radius {
+                Radius::Auto => default.clone(),
+                Radius::Length(length) => length.clone(),
+            })
+            .collect();
+        Ok(if given.is_empty() {
+            vec![default]
+        } else {
+            given
+        })
+    }
+
     /// The normals asked for, by `--normals` or by what only one kind of them takes.
     fn named_normals(&self) -> Result<Normals> {
         match (self.normals, &self.normals_from) {
@@ -335,7 +395,7 @@ impl MethodArgs {
         let own = match normals {
             _ if self.method == Method::Paper => WeightRule::Dgtal,
             // A table of the default's normals gives the default's curvatures.
-            Normals::Average | Normals::Given => WeightRule::Compensated,
+            Normals::Average | Normals::Given | Normals::Gradient => WeightRule::Compensated,
             // Measured with ii: compensated is worse on spheres and better on Goursat's surface.
             _ => WeightRule::Lumped,
         };
@@ -437,14 +497,9 @@ impl MethodArgs {
                 .map_err(|error| usage(format!("{flag} {length}: {error}")))?;
             Ok(voxels)
         };
-        let default = [Length::voxels(3.0)];
-        let asked = if self.radius.is_empty() {
-            &default[..]
-        } else {
-            &self.radius
-        };
+        let asked = self.lengths(lattice)?;
         let mut radii = Vec::with_capacity(asked.len());
-        for length in asked {
+        for length in &asked {
             let voxels = if by_invariants {
                 in_voxels("--radius", length)?
             } else {

@@ -21,6 +21,7 @@ mod plan;
 mod progress;
 mod report;
 mod run;
+mod scale;
 mod shape;
 mod signals;
 mod sizes;

@@ -16,6 +16,8 @@ use super::exit;
 use super::job::{Job, JobArgs};
 use super::method::in_words;
 use super::output::Target;
+use super::progress::Style;
+use super::scale;
 use super::sizes;
 
 /// Arguments of `curvox plan`.
@@ -33,17 +35,17 @@ const SAMPLES: u64 = 16;
 const SAMPLE_BYTES: u64 = 64 << 20;
 
 /// Bytes of a Parquet row, seen on scans: what does not depend on the radius, and for each radius
-/// without and with directions, and what the quality adds.
-const PARQUET_ROW: [u64; 4] = [19, 17, 41, 4];
+/// without and with directions, and what the quality and the error bars add.
+const PARQUET_ROW: [u64; 5] = [19, 17, 41, 4, 4];
 
 /// The same for CSV.
-const CSV_ROW: [u64; 4] = [73, 50, 115, 13];
+const CSV_ROW: [u64; 5] = [73, 50, 115, 13, 20];
 
 /// Tells the plan.
 pub(crate) fn run(args: &PlanArgs, stop: &AtomicBool) -> Result<()> {
     let args = &args.job;
     let target = args.output.maybe_target()?;
-    let job = args.prepare(stop)?;
+    let job = args.prepare(Style::None, stop)?;
     let surfels = estimate(&job)?;
     let text = if args.output.json {
         format!("{}\n", as_json(&job, surfels, target.as_ref()))
@@ -121,9 +123,10 @@ fn surfels_of(bytes: &[u8], row_bytes: usize, ny: usize, nx: usize, binarizer: &
     found
 }
 
-fn row_bytes(job: &Job, [fixed, plain, directed, quality]: [u64; 4]) -> u64 {
+fn row_bytes(job: &Job, [fixed, plain, directed, quality, errors]: [u64; 5]) -> u64 {
     let each = if job.info.directions { directed } else { plain }
-        + if job.info.quality { quality } else { 0 };
+        + if job.info.quality { quality } else { 0 }
+        + if job.info.errors { errors } else { 0 };
     fixed + each * job.info.radii.len() as u64
 }
 
@@ -171,6 +174,7 @@ fn as_json(job: &Job, surfels: Option<u64>, target: Option<&Target>) -> Value {
         },
         "parameters": job.info.parameters,
         "radii": job.info.radii,
+        "radius_choice": job.radius_choice,
         "otsu_threshold": job.otsu,
         "plan": job.plan,
         "parts": Parts::new(job.info.dims).count(),
@@ -230,6 +234,13 @@ fn write_text(
             out,
             "radius     {} = {} voxels = {} {}",
             radius.label, radius.voxels, radius.world, job.info.unit
+        )?;
+    }
+    if let Some(choice) = &job.radius_choice {
+        writeln!(
+            out,
+            "           {}",
+            scale::in_words(&json!(choice), &job.info.unit)
         )?;
     }
     let plan = &job.plan;

@@ -43,6 +43,13 @@ impl Style {
     }
 }
 
+impl Style {
+    /// For what goes before the run: a bar, but no lines that would look like those of the run.
+    pub(crate) fn of_bar(self) -> Self {
+        if self == Self::Bar { self } else { Self::None }
+    }
+}
+
 /// Shows progress until `done` is set; `planes` is the number of planes of the run.
 pub(crate) fn show(style: Style, progress: &Progress, planes: u64, done: &AtomicBool) {
     let load = |n: &std::sync::atomic::AtomicU64| n.load(Ordering::Relaxed);

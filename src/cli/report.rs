@@ -15,6 +15,7 @@ use crate::sink::{ExactTotals, FlagCount, RadiusSummary, RunFacts, Summary, Summ
 use super::job::Job;
 use super::method::in_words;
 use super::output::Target;
+use super::scale;
 use super::sizes;
 
 /// A share of rows flagged `radius_too_large` above which the user is told: curvature at a few
@@ -27,6 +28,7 @@ const SMALLEST_RADIUS: f64 = 2.0;
 /// What is known before the run.
 pub(crate) struct Facts {
     pub(crate) otsu: Option<f64>,
+    radius_choice: Option<Value>,
     input: Value,
     warnings: Vec<String>,
     estimator: Estimator,
@@ -84,6 +86,7 @@ impl Facts {
         }
         Self {
             otsu: job.otsu,
+            radius_choice: job.radius_choice.as_ref().map(|choice| json!(choice)),
             input: json!({
                 "format": header.format.name(),
                 "dtype": header.dtype().to_string(),
@@ -138,6 +141,7 @@ impl Facts {
             exact: Some(exact),
             warnings,
             input: self.input.clone(),
+            radius_choice: self.radius_choice.clone(),
         }
     }
 
@@ -353,6 +357,9 @@ impl Report {
             writeln!(out, "threshold  {otsu} (Otsu)")?;
         }
         writeln!(out, "normals    {}", in_words(&summary.parameters))?;
+        if let Some(choice) = &summary.radius_choice {
+            writeln!(out, "radius     {}", scale::in_words(choice, unit))?;
+        }
         writeln!(out, "surfels    {}", sizes::count(summary.rows))?;
         if let Some(exact) = &summary.exact {
             writeln!(out, "area       {} {unit}^2", number(exact.mu0))?;
@@ -389,6 +396,13 @@ impl Report {
                 mean(radius.mean_curvature.mean),
                 mean(radius.gaussian_curvature.mean),
             )?;
+            if let Some(error) = radius.mean_curvature_error_median {
+                writeln!(
+                    out,
+                    "  error    of H below {} 1/{unit} at half of the surfels (median error bar)",
+                    number(error.into())
+                )?;
+            }
             if let Some(quality) = radius.quality_rms {
                 writeln!(
                     out,
@@ -459,6 +473,7 @@ mod tests {
     fn an_empty_surface_says_which_kind() {
         let empty = ExactTotals::default();
         let facts = Facts {
+            radius_choice: None,
             otsu: None,
             input: Value::Null,
             warnings: Vec::new(),

@@ -32,7 +32,8 @@ pub(crate) fn run(args: &RunArgs, verbose: bool, stop: &AtomicBool) -> Result<()
     let job_args = &args.job;
     let started = Instant::now();
     let target = job_args.output.target()?;
-    let job = job_args.prepare(stop)?;
+    let style = Style::choose(job_args.output.quiet, job_args.output.json, verbose);
+    let job = job_args.prepare(style.of_bar(), stop)?;
     refuse_input_as_output(job.volume.source.path.as_deref(), &target)?;
     refuse_normals_as_output(job_args.method.normals_from(), &target)?;
     let plan = &job.plan;
@@ -67,7 +68,6 @@ pub(crate) fn run(args: &RunArgs, verbose: bool, stop: &AtomicBool) -> Result<()
             for sink in &mut sinks.list {
                 list.push(sink.as_mut());
             }
-            let style = Style::choose(job_args.output.quiet, job_args.output.json, verbose);
             let source = Source { volume, binarizer };
             let progress = Progress::default();
             let planes = settings.lattice.cell_dims()[2].unsigned_abs().into();

@@ -18,6 +18,7 @@
 //! directions at umbilics, where k1 = k2.
 
 pub mod integral;
+pub mod uncertainty;
 
 use glam::DVec3;
 

@@ -82,7 +82,8 @@ pub enum Weights {
 /// Which normals compensated weights are made for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Compensation {
-    /// Averages of the surface, or others that are not better.
+    /// Averages of the surface, and others that are not refined. *Measured* of gradients of grey values: the limits of refined normals are
+    /// no better on clean images, and 1.2 times as wrong with noise.
     Averaged,
     /// Refined normals, which are good enough for a smaller ball and smaller differences.
     Refined,
@@ -166,6 +167,31 @@ pub struct BallSums {
     pub several_sheets: bool,
     /// The border of an open image cuts what was summed, or what its normals came from.
     pub cut: bool,
+    /// What compensated weights tell beside; `None` with others.
+    pub evidence: Option<Evidence>,
+}
+
+/// What the two sums of compensated weights tell of how good they are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Evidence {
+    /// Which weights.
+    pub compensation: Compensation,
+    /// Norm (Frobenius) of the difference of the tensors over mu0, in 1/voxel unit.
+    pub difference: f64,
+    /// Difference of H, in 1/voxel unit.
+    pub mean_difference: f64,
+    /// Difference of G, in 1/voxel unit squared.
+    pub gaussian_difference: f64,
+    /// Share of ridges among the surfels of the ball.
+    pub ridges: f64,
+}
+
+impl BallSums {
+    /// Whether the surface is taken for noise.
+    #[must_use]
+    pub fn is_rough(&self) -> bool {
+        (self.evidence).is_some_and(|evidence| rise(evidence.ridges, NOISY_SHARE) > 0.5)
+    }
 }
 
 /// A row of cells in the ball around a surfel of one kind, relative to its cell.
@@ -393,6 +419,7 @@ impl BallKernel {
             rim,
             several_sheets: in_ball > connected,
             cut: marks & cut != 0,
+            evidence: summed.evidence,
         }
     }
 
@@ -472,6 +499,7 @@ impl BallKernel {
             tensor: Symmetric::from_terms([1, 2, 3, 4, 5, 6].map(|t| x[t] / fixed::ONE)),
             mu2: x[7] * fixed::LUMPED_SOLID_ANGLE,
             omega: omega as f64 / fixed::ONE,
+            evidence: None,
         }
     }
 
@@ -543,20 +571,30 @@ impl BallKernel {
         // The weights of a plane: 1/6 and 1/2 of the discs.
         let per_area = [6.0 * per_squared[0], 2.0 * per_squared[1]];
         let area = [0, 1].map(|i| sums[i][0] * per_area[i]);
-        let noisy = rise(f64::from(ridges) / f64::from(count.max(1)), NOISY_SHARE);
+        let ridges = f64::from(ridges) / f64::from(count.max(1));
+        let noisy = rise(ridges, NOISY_SHARE);
         let eaten = if area[1] > 0.0 {
             1.0 - rise(area[0] / area[1], EATEN_AREA)
         } else {
             1.0
         };
         // How much the two ways differ, in units of what the staircase makes them differ.
-        let mut squares = 0.0;
+        let (mut squares, mut trace) = (0.0, 0.0);
         for term in 1..7 {
             let [a, b] = sums.map(|sum| sum[term] / sum[0]);
             let twice = if term > 3 { 2.0 } else { 1.0 };
             squares += twice * (a - b) * (a - b);
+            trace += if term > 3 { 0.0 } else { a - b };
         }
-        let contrast = squares.sqrt() * self.radius * self.radius * self.radius;
+        let evidence = Evidence {
+            compensation: of,
+            difference: squares.sqrt(),
+            mean_difference: 0.5 * trace,
+            gaussian_difference: (sums[0][7] / sums[0][0] - sums[1][7] / sums[1][0])
+                * (fixed::LUMPED_SOLID_ANGLE * fixed::ONE),
+            ridges,
+        };
+        let contrast = evidence.difference * self.radius * self.radius * self.radius;
         let alike = 1.0 - rise(contrast, of.contrast());
         let robust = noisy.max(eaten).max(alike);
         let parts = [(1.0 - robust) * per_area[0], robust * per_area[1]];
@@ -569,6 +607,7 @@ impl BallKernel {
             tensor: Symmetric::from_terms([1, 2, 3, 4, 5, 6].map(|t| x[t] / fixed::ONE)),
             mu2: x[7] * fixed::LUMPED_SOLID_ANGLE,
             omega: mix(omega[0], omega[1]) / fixed::ONE,
+            evidence: Some(evidence),
         }
     }
 
@@ -793,6 +832,7 @@ struct Summed {
     tensor: Symmetric,
     mu2: f64,
     omega: f64,
+    evidence: Option<Evidence>,
 }
 
 impl WideSums {
@@ -812,6 +852,7 @@ impl WideSums {
             tensor: Symmetric::from_terms(self.tensor.map(|t| fixed::to_measure(t) / one)),
             mu2: fixed::to_solid_angle(self.mu2),
             omega: fixed::to_measure(self.omega) / one,
+            evidence: None,
         }
     }
 }

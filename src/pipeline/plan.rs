@@ -183,6 +183,8 @@ pub struct PlanRequest<'a> {
     pub invariants: &'a [InvariantKernel],
     /// Whether directions are among the results.
     pub directions: bool,
+    /// Whether errors to expect are among them.
+    pub errors: bool,
     /// Whether mu_Omega is among them.
     pub quality: bool,
     /// Memory allowed.
@@ -308,7 +310,9 @@ impl Plan {
         let lumped = balls.iter().all(|b| b.weights().are_lumped());
         let radii = (balls.len() + invariants.len()) as u64;
         let only_if = |asked: bool, bytes: u64| if asked { bytes } else { 0 };
-        let asked_bytes = only_if(request.directions, 24) + only_if(request.quality, 4);
+        let asked_bytes = only_if(request.directions, 24)
+            + only_if(request.errors, 8)
+            + only_if(request.quality, 4);
         let row_bytes = 32 + radii * (20 + asked_bytes);
         let sent_row_bytes = SENT_PLANES * (41 + radii * (18 + asked_bytes));
         // mu_Omega of a surfel, or of its linels: two on the average
@@ -456,9 +460,9 @@ impl Plan {
         let left = request.memory_bytes.saturating_sub(base);
         let is_wide = normal_reach.into_iter().max() > Some(WIDE_REACH);
         // Grey values come first. They are large, so a slab is only higher than one plane if they
-        // leave 3/4. Of the rest bits may take up to 3/8 and scratch up to 1/4, or what bits leave of
-        // both where wide bricks save much work; what then is left is for surfels.
-        let fits = |edge: i32, slab: i32| {
+        // leave 3/4. Of the rest bits may take up to 3/8, or 1/2 if nothing else fits, and scratch up to 1/4, or what
+        // bits leave of 5/8 where wide bricks save much work; what then is left is for surfels.
+        let fits = |edge: i32, slab: i32, eighths: u64| {
             let grey = grey_bytes(slab);
             let rest = left.saturating_sub(grey);
             let (bits, scratch) = (bits_bytes(edge, slab), scratch_bytes(edge, slab));
@@ -467,7 +471,7 @@ impl Plan {
             } else {
                 rest / 4
             };
-            (slab == 1 || grey <= left / 4) && bits <= rest / 8 * 3 && scratch <= for_scratch
+            (slab == 1 || grey <= left / 4) && bits <= rest / 8 * eighths && scratch <= for_scratch
         };
         const HEIGHTS: [i32; 14] = [128, 96, 64, 48, 32, 24, 16, 12, 8, 6, 4, 3, 2, 1];
         const EDGES: [i32; 7] = [128, 96, 64, 48, 32, 24, 16];
@@ -477,14 +481,16 @@ impl Plan {
             Some(ref edge) => std::slice::from_ref(edge),
             None => &EDGES[small..],
         };
-        let chosen = HEIGHTS[small..]
-            .iter()
-            .flat_map(|&slab| edges.iter().map(move |&edge| (edge, slab.min(edge))))
-            // low slabs beside wide bricks halo as much as narrow bricks do: prefer cubes
-            .filter(|&(edge, slab)| fits(edge, slab))
-            .max_by_key(|&(edge, slab)| (edge.min(2 * slab), slab, edge));
-        let chosen = match (chosen, request.brick) {
-            (Some((edge, _)), Some(fixed)) if edge == fixed && fits(edge, edge) => {
+        let chosen = |eighths: u64| {
+            HEIGHTS[small..]
+                .iter()
+                .flat_map(|&slab| edges.iter().map(move |&edge| (edge, slab.min(edge))))
+                // low slabs beside wide bricks halo as much as narrow bricks do: prefer cubes
+                .filter(|&(edge, slab)| fits(edge, slab, eighths))
+                .max_by_key(|&(edge, slab)| (edge.min(2 * slab), slab, edge))
+        };
+        let chosen = match (chosen(3).or_else(|| chosen(4)), request.brick) {
+            (Some((edge, _)), Some(fixed)) if edge == fixed && fits(edge, edge, 3) => {
                 Some((edge, edge))
             }
             (chosen, _) => chosen,

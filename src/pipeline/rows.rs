@@ -4,12 +4,15 @@ use std::ops::Range;
 
 use glam::DVec3;
 
+use crate::curvature::uncertainty::{self, ErrorKind};
 use crate::curvature::{Curvature, upward};
 use crate::khalimsky::{OrientedSurfel, sign};
-use crate::measure::ball::{BallSums, LocalMeasures};
+use crate::measure::ball::{BallSums, Evidence, LocalMeasures};
 use crate::measure::cells::{CellMeasures, mark};
 use crate::measure::fixed;
 use crate::measure::surface::Surface;
+use crate::normal::Estimator;
+use crate::normal::refine::FIRST_RADIUS;
 use crate::sink::{CurvatureColumns, Flag, FlagSet, SurfelBatch};
 use crate::surfel::{CellBox, Surfels};
 use crate::volume::PlaneWindow;
@@ -24,6 +27,8 @@ pub(super) struct BrickRows {
     curvatures: Vec<Vec<CurvatureRow>>,
     /// The same of d1 and d2; empty unless they are wanted.
     directions: Vec<Vec<[[f32; 3]; 2]>>,
+    /// The same of the errors to expect of H and G.
+    errors: Vec<Vec<[f32; 2]>>,
     /// The same of mu_Omega / mu0.
     quality: Vec<Vec<f32>>,
 }
@@ -45,6 +50,7 @@ struct CurvatureRow {
 /// A batch with room for `count` rows.
 pub(super) fn empty_batch(shared: &Shared<'_>, column: [u32; 2], count: usize) -> SurfelBatch {
     let floats = || Vec::with_capacity(count);
+    let only_if = |asked: bool| if asked { floats() } else { Vec::new() };
     let triple = || [floats(), floats(), floats()];
     let direction = || {
         if shared.settings.directions {
@@ -56,15 +62,13 @@ pub(super) fn empty_batch(shared: &Shared<'_>, column: [u32; 2], count: usize) -
     let curvatures = |_| CurvatureColumns {
         mean: floats(),
         gaussian: floats(),
+        mean_error: only_if(shared.settings.gives_errors()),
+        gaussian_error: only_if(shared.settings.gives_errors()),
         k1: floats(),
         k2: floats(),
         d1: direction(),
         d2: direction(),
-        quality: if shared.settings.quality {
-            floats()
-        } else {
-            Vec::new()
-        },
+        quality: only_if(shared.settings.quality),
         flags: Vec::with_capacity(count),
     };
     SurfelBatch {
@@ -104,6 +108,7 @@ impl BrickRows {
             let radius_world = ball.radius() * unit;
             let mut curvatures = Vec::with_capacity(u.len());
             let mut principal = Vec::new();
+            let mut errors = Vec::new();
             let mut quality = Vec::new();
             for (number, sums) in ball.sums(surface, measures, &cores).iter().enumerate() {
                 let curvature = Curvature::from_sums(sums, u[number], unit);
@@ -112,6 +117,12 @@ impl BrickRows {
                 });
                 let flags = flags(sums, own.marks[number], curvature.as_ref(), radius_world);
                 curvatures.push(CurvatureRow { values, flags });
+                if shared.settings.gives_errors() {
+                    let bars = curvature
+                        .zip(sums.evidence)
+                        .map(|(c, evidence)| error_bars(shared, &evidence, &c, ball.radius()));
+                    errors.push(bars.map_or([f32::NAN; 2], |bars| bars.map(short)));
+                }
                 if shared.settings.directions {
                     principal.push(directions(shared, curvature.as_ref()));
                 }
@@ -122,6 +133,9 @@ impl BrickRows {
             rows.curvatures.push(curvatures);
             if shared.settings.directions {
                 rows.directions.push(principal);
+            }
+            if shared.settings.gives_errors() {
+                rows.errors.push(errors);
             }
             if shared.settings.quality {
                 rows.quality.push(quality);
@@ -205,10 +219,46 @@ impl BrickRows {
                 }
             }
         }
+        for (errors, columns) in self.errors.iter().zip(&mut batch.curvatures) {
+            for [mean, gaussian] in &errors[run.clone()] {
+                columns.mean_error.push(*mean);
+                columns.gaussian_error.push(*gaussian);
+            }
+        }
         for (quality, columns) in self.quality.iter().zip(&mut batch.curvatures) {
             columns.quality.extend_from_slice(&quality[run.clone()]);
         }
     }
+}
+
+/// What the columns of errors hold, in world units.
+fn error_bars(
+    shared: &Shared<'_>,
+    evidence: &Evidence,
+    curvature: &Curvature,
+    radius: f64,
+) -> [f64; 2] {
+    let settings = shared.settings;
+    let of_normals = match (settings.refinement, settings.estimator) {
+        (Some(radius), _) => radius,
+        (None, Estimator::SurfaceAverage { radius }) => radius / FIRST_RADIUS,
+        _ => radius,
+    };
+    let unit = shared.lattice.voxel_unit_world();
+    match settings.error_kind {
+        ErrorKind::Bars => uncertainty::error_bars(evidence, curvature, radius, of_normals, unit),
+        ErrorKind::Differences => [
+            evidence.mean_difference.abs() / unit,
+            evidence.gaussian_difference.abs() / (unit * unit),
+        ],
+    }
+}
+
+/// With the eight leading binary digits, which is all that an error bar means, and packs well.
+fn short(x: f64) -> f32 {
+    let bits = (x as f32).to_bits();
+    // Adding half of what is cut off rounds to nearest; from a finite number it makes infinity at most.
+    f32::from_bits((bits + 0x8000) & 0xffff_0000)
 }
 
 /// d1 and d2 in world axes.
@@ -276,6 +326,7 @@ fn flags(sums: &BallSums, marks: u8, curvature: Option<&Curvature>, radius_world
         (sums.cut, Flag::Border),
         (sums.several_sheets, Flag::SeveralSheets),
         (sums.rim.is_island(), Flag::Island),
+        (sums.is_rough(), Flag::Rough),
     ]) | mark_flags(marks)
         | curvature_flags(curvature, radius_world)
 }

@@ -2,6 +2,7 @@
 
 use crate::curvature::Method;
 use crate::curvature::integral::InvariantKernel;
+use crate::curvature::uncertainty::ErrorKind;
 use crate::error::Error;
 use crate::khalimsky::Adjacency;
 use crate::lattice::Lattice;
@@ -50,6 +51,8 @@ pub struct Settings {
     pub weights: Weights,
     /// Whether to give principal directions.
     pub directions: bool,
+    /// What the columns of errors hold, where there are some.
+    pub error_kind: ErrorKind,
     /// Whether to give mu_Omega / mu0, the quality of the normals.
     pub quality: bool,
     /// Worker threads.
@@ -90,6 +93,7 @@ impl Settings {
             extent: Extent::Connected,
             weights: Weights::Lumped,
             directions: false,
+            error_kind: ErrorKind::Bars,
             quality: false,
             threads: std::thread::available_parallelism().map_or(1, usize::from),
             memory_bytes: 1 << 30,
@@ -120,6 +124,15 @@ impl Settings {
             ),
         };
         self
+    }
+
+    /// Whether rows have the errors to expect of H and G ([`crate::curvature::uncertainty`]): they are made from what the
+    /// compensated weights tell with the normals they are made for.
+    #[must_use]
+    pub fn gives_errors(&self) -> bool {
+        self.curvature == Method::Measures
+            && matches!(self.weights, Weights::Compensated(_))
+            && matches!(self.estimator, Estimator::SurfaceAverage { .. })
     }
 
     pub(super) fn kernels(&self) -> Result<Kernels, Error> {
@@ -169,6 +182,7 @@ impl Settings {
             balls: &kernels.balls,
             invariants: &kernels.invariants,
             directions: self.directions,
+            errors: self.gives_errors(),
             quality: self.quality,
             memory_bytes: self.memory_bytes,
             sink_bytes,

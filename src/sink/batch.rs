@@ -34,6 +34,11 @@ pub struct CurvatureColumns {
     pub d1: [Vec<f32>; 3],
     /// Direction of `k2`, in world axes, sign arbitrary; empty unless directions were asked for.
     pub d2: [Vec<f32>; 3],
+    /// Error to expect of `mean`, in 1/world-unit: see [`crate::curvature::uncertainty`]; empty for methods that give
+    /// none.
+    pub mean_error: Vec<f32>,
+    /// The same of `gaussian`, in 1/world-unit squared.
+    pub gaussian_error: Vec<f32>,
     /// Quality of the normals, mu_Omega / mu0, in 1/world-unit; empty unless it was asked for.
     pub quality: Vec<f32>,
     /// What to know before trusting the row: see [`Flag`].
@@ -64,11 +69,13 @@ pub enum Flag {
     DegenerateNormal = 1 << 6,
     /// mu0 of the ball is not positive: the curvatures are NaN.
     NoArea = 1 << 7,
+    /// Noise, or walls, pits and tips one voxel thick: on a sheet that thin, values are those of noise.
+    Rough = 1 << 8,
 }
 
 impl Flag {
     /// All flags, lowest bit first.
-    pub const ALL: [Flag; 8] = [
+    pub const ALL: [Flag; 9] = [
         Flag::Border,
         Flag::SeveralSheets,
         Flag::Island,
@@ -77,6 +84,7 @@ impl Flag {
         Flag::Lifted,
         Flag::DegenerateNormal,
         Flag::NoArea,
+        Flag::Rough,
     ];
 
     /// The bit of this flag in a [`FlagSet`].
@@ -97,6 +105,7 @@ impl Flag {
             Flag::Lifted => "lifted",
             Flag::DegenerateNormal => "degenerate_normal",
             Flag::NoArea => "no_area",
+            Flag::Rough => "rough",
         }
     }
 }

@@ -77,6 +77,18 @@ pub(crate) fn column_descriptions(info: &TableInfo) -> Vec<(String, String)> {
             format!("gaussian_curvature{end}"),
             format!("{gaussian} {at}, in 1/{unit}^2"),
         );
+        if info.errors {
+            add(
+                format!("mean_curvature_error{end}"),
+                format!(
+                    "error to expect of H {at}, in 1/{unit}: 68 % are within it, 95 % within twice it"
+                ),
+            );
+            add(
+                format!("gaussian_curvature_error{end}"),
+                format!("the same of G {at}, in 1/{unit}^2"),
+            );
+        }
         add(
             format!("k1{end}"),
             format!("smaller principal curvature {at}, in 1/{unit}"),
@@ -150,8 +162,13 @@ pub(crate) fn take_record_batch(
     arrays.push(float(&mut rows.area));
     let has = |start: &str| schema.fields().iter().any(|f| f.name().starts_with(start));
     let (directions, quality) = (has("d1x"), has("quality"));
+    let errors = has("mean_curvature_error");
     for at in &mut rows.curvatures {
-        arrays.extend([&mut at.mean, &mut at.gaussian, &mut at.k1, &mut at.k2].map(float));
+        arrays.extend([&mut at.mean, &mut at.gaussian].map(float));
+        if errors {
+            arrays.extend([&mut at.mean_error, &mut at.gaussian_error].map(float));
+        }
+        arrays.extend([&mut at.k1, &mut at.k2].map(float));
         if directions {
             arrays.extend(at.d1.iter_mut().map(float));
             arrays.extend(at.d2.iter_mut().map(float));
@@ -170,6 +187,7 @@ impl SurfelBatch {
     #[must_use]
     pub fn with_capacity(info: &TableInfo, rows: usize) -> Self {
         let floats = || Vec::with_capacity(rows);
+        let only_if = |asked: bool| if asked { floats() } else { Vec::new() };
         let triple = || [floats(), floats(), floats()];
         let direction = || {
             if info.directions {
@@ -191,11 +209,13 @@ impl SurfelBatch {
                 .map(|_| CurvatureColumns {
                     mean: floats(),
                     gaussian: floats(),
+                    mean_error: only_if(info.errors),
+                    gaussian_error: only_if(info.errors),
                     k1: floats(),
                     k2: floats(),
                     d1: direction(),
                     d2: direction(),
-                    quality: if info.quality { floats() } else { Vec::new() },
+                    quality: only_if(info.quality),
                     flags: Vec::with_capacity(rows),
                 })
                 .collect(),
@@ -230,6 +250,10 @@ impl SurfelBatch {
             if !from.d1[0].is_empty() {
                 copy_triple(&mut to.d1, &from.d1, r);
                 copy_triple(&mut to.d2, &from.d2, r);
+            }
+            if !from.mean_error.is_empty() {
+                copy(&mut to.mean_error, &from.mean_error, r);
+                copy(&mut to.gaussian_error, &from.gaussian_error, r);
             }
             if !from.quality.is_empty() {
                 copy(&mut to.quality, &from.quality, r);
@@ -278,7 +302,9 @@ impl SurfelBatch {
                 .iter()
                 .chain(&at.d2)
                 .all(|column| column.len() == direction_rows);
-            whole &= at.quality.len() == if info.quality { rows } else { 0 };
+            let has = |column: &Vec<f32>, asked: bool| column.len() == if asked { rows } else { 0 };
+            whole &= has(&at.quality, info.quality);
+            whole &= has(&at.mean_error, info.errors) && has(&at.gaussian_error, info.errors);
         }
         if whole && lengths.iter().all(|&length| length == rows) {
             return Ok(());

@@ -222,6 +222,8 @@ impl FaceTable {
             d2: triple(),
             flags: Vec::with_capacity(rows),
             quality: Vec::new(),
+            mean_error: Vec::new(),
+            gaussian_error: Vec::new(),
         };
         let mut area = floats();
         let mut normal = triple();

@@ -49,6 +49,9 @@ pub struct TableInfo {
     pub radii: Vec<RadiusInfo>,
     /// Whether the table has the principal directions d1, d2.
     pub directions: bool,
+    /// Whether the table has the errors to expect of H and G.
+    #[serde(default)]
+    pub errors: bool,
     /// Whether the table has the quality of the normals, mu_Omega / mu0.
     pub quality: bool,
     /// Every parameter of the run that the rows depend on.

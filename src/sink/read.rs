@@ -312,6 +312,7 @@ fn table_info(path: &Path, builder: &Builder) -> Result<TableInfo, SinkError> {
         "direction": json("curvox.direction")?,
         "radii": json("curvox.radii")?,
         "directions": has("d1x"),
+        "errors": has("mean_curvature_error"),
         "quality": has("quality"),
         "parameters": json("curvox.parameters")?,
         "version": text("curvox.version")?,
@@ -369,9 +370,14 @@ fn surfel_batch(
             *column = next()?.as_primitive::<Float32Type>().values().to_vec();
             Ok(())
         };
-        [&mut at.mean, &mut at.gaussian, &mut at.k1, &mut at.k2]
-            .into_iter()
-            .try_for_each(&mut float)?;
+        float(&mut at.mean)?;
+        float(&mut at.gaussian)?;
+        if info.errors {
+            float(&mut at.mean_error)?;
+            float(&mut at.gaussian_error)?;
+        }
+        float(&mut at.k1)?;
+        float(&mut at.k2)?;
         if info.directions {
             at.d1
                 .iter_mut()

@@ -260,13 +260,10 @@ fn csv_row(batch: &SurfelBatch, row: usize, line: &mut Vec<u8>) -> std::io::Resu
         write!(line, ",{:?}", column[row])?;
     }
     for at in &batch.curvatures {
-        for column in [&at.mean, &at.gaussian, &at.k1, &at.k2] {
-            write!(line, ",{:?}", column[row])?;
-        }
-        for column in at
-            .d1
-            .iter()
-            .chain(&at.d2)
+        let values = [&at.mean, &at.gaussian];
+        let errors = [&at.mean_error, &at.gaussian_error];
+        for column in (values.into_iter().chain(errors).chain([&at.k1, &at.k2]))
+            .chain(at.d1.iter().chain(&at.d2))
             .chain([&at.quality])
             .filter(|column| !column.is_empty())
         {

@@ -81,6 +81,8 @@ pub struct RunFacts {
     pub warnings: Vec<String>,
     /// The input: path, format, value type, threshold.
     pub input: Value,
+    /// Which radii were tried and why one was taken, where it was chosen from the data.
+    pub radius_choice: Option<Value>,
 }
 
 /// The contents of `summary.json`; fields appear in this order.
@@ -108,6 +110,9 @@ pub struct Summary {
     pub rows: u64,
     /// Totals of the cells.
     pub exact: Option<ExactTotals>,
+    /// Which radii were tried and why one was taken, where it was chosen from the data.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub radius_choice: Option<Value>,
     /// What the rows give at each radius.
     pub radii: Vec<RadiusSummary>,
     /// Conventions in words, a sentence each.
@@ -142,6 +147,8 @@ pub struct RadiusSummary {
     /// Root mean square, weighted by area, of (k1 + k2) / 2 - H: how far the principal curvatures
     /// are from the mean one.
     pub principal_mismatch_rms: Option<f64>,
+    /// Median of the error bars of H, in 1/world-unit; `None` for methods that give none.
+    pub mean_curvature_error_median: Option<f32>,
     /// Root mean square, weighted by area, of the quality of the normals, mu_Omega / mu0; `None` if it
     /// was not asked for.
     pub quality_rms: Option<f64>,
@@ -227,6 +234,8 @@ pub(super) struct RadiusSums {
     mismatch_area: f64,
     quality: f64,
     quality_area: f64,
+    /// Rows by the error bar of H, as the bits of its number: they are in order, and as few as error bars have digits.
+    errors: BTreeMap<u32, u64>,
 }
 
 #[derive(Clone, Debug)]
@@ -276,6 +285,7 @@ impl SummarySink {
             direction: info.direction,
             rows: total.rows,
             exact: facts.exact,
+            radius_choice: facts.radius_choice,
             radii: radii.collect(),
             conventions: info.conventions.clone(),
             parameters: info.parameters.clone(),
@@ -354,6 +364,7 @@ impl RadiusSums {
             mismatch_area: 0.0,
             quality: 0.0,
             quality_area: 0.0,
+            errors: BTreeMap::new(),
         }
     }
 
@@ -379,6 +390,11 @@ impl RadiusSums {
         if mismatch.is_finite() {
             self.mismatch += weight * mismatch * mismatch;
             self.mismatch_area += weight;
+        }
+        if let Some(&error) = at.mean_error.get(row)
+            && error.is_finite()
+        {
+            *self.errors.entry(error.abs().to_bits()).or_default() += 1;
         }
         if let Some(&quality) = at.quality.get(row)
             && quality.is_finite()
@@ -410,6 +426,7 @@ impl RadiusSums {
             k2,
             principal_mismatch_rms: (self.mismatch_area > 0.0)
                 .then(|| (self.mismatch / self.mismatch_area).sqrt()),
+            mean_curvature_error_median: median(&self.errors),
             quality_rms: (self.quality_area > 0.0)
                 .then(|| (self.quality / self.quality_area).sqrt()),
         }
@@ -428,7 +445,21 @@ impl RadiusSums {
         self.mismatch_area += other.mismatch_area;
         self.quality += other.quality;
         self.quality_area += other.quality_area;
+        for (error, rows) in &other.errors {
+            *self.errors.entry(*error).or_default() += rows;
+        }
     }
+}
+
+/// The median of numbers that are not negative, by their bits: the lower of two in the middle.
+fn median(rows: &BTreeMap<u32, u64>) -> Option<f32> {
+    let half = rows.values().sum::<u64>().div_ceil(2);
+    let mut passed = 0;
+    let middle = rows.iter().find(|(_, count)| {
+        passed += **count;
+        passed >= half
+    });
+    middle.map(|(bits, _)| f32::from_bits(*bits))
 }
 
 impl RowTotals {

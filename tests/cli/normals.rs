@@ -388,7 +388,8 @@ fn the_sign_of_the_quality_is_that_of_the_world() {
     let rows = [false, true].map(|is_mirrored| {
         let place = Place::with_ball();
         noisy(&place, is_mirrored);
-        run(&place, "rows.parquet", &["--quality", "--normals", "ii"])
+        let options = ["--quality", "--normals", "ii", "--radius", "3vx"];
+        run(&place, "rows.parquet", &options)
     });
     let [a, b] = rows.each_ref().map(|rows| &rows.curvatures[0]);
     // Rows without area have no values.

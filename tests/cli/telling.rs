@@ -70,11 +70,11 @@ fn normals_field_and_curvature_are_named_by_plan_and_run() {
         ),
         (
             &["--method", "refined"],
-            "refined average of radius 3.6vx, field constant, curvature by measures",
+            "refined average of radius 7.2vx, field constant, curvature by measures",
         ),
         (
             &["--normals", "ii"],
-            "ii of radius 3vx, field constant, curvature by measures",
+            "ii of radius 6vx, field constant, curvature by measures",
         ),
         (
             &["--normals", "gradient", "--sigma", "2vx"],
@@ -82,7 +82,7 @@ fn normals_field_and_curvature_are_named_by_plan_and_run() {
         ),
         (
             &["--normals", "vcm", "--field", "linear"],
-            "vcm of radius 3vx and Voronoi radius 10vx, field linear,",
+            "vcm of radius 6vx and Voronoi radius 20vx, field linear,",
         ),
         (
             &["--curvature", "ii", "--normals", "trivial"],

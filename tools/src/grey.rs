@@ -2,9 +2,8 @@
 //!
 //! Shapes of known curvature are rendered at partial volume, blurred by a Gaussian of one voxel and
 //! given white noise of several widths, as 16 bits ([`curvox::shape::GreyPlanes`]). At the
-//! half-way threshold H is computed with integral invariants of the bits and with gradients of the
-//! values, everything else equal: connected, lumped sums at 3 h^(1/2), integral invariants at the
-//! same radius, as the paper takes them.
+//! half-way threshold H is computed from the bits, with integral invariants and lumped sums and as by default, and with
+//! gradients of the values and compensated sums, all at the paper's radius 3 h^(-1/2) voxels.
 //!
 //! Errors are taken at the closest point of the true surface, over the surfels within two voxels
 //! of it that are on no island (specks that the noise puts elsewhere have no true curvature); how
@@ -13,20 +12,23 @@
 use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, Result};
 use clap::Args;
 use curvox::lattice::Lattice;
+use curvox::measure::ball::{Compensation, Weights};
+use curvox::normal::refine::FIRST_RADIUS;
 use curvox::normal::{Estimator, Orientation};
-use curvox::pipeline::{Access, Progress, Settings, Source, run};
+use curvox::pipeline::Settings;
 use curvox::shape::{
     BoxedShape, Digitisation, GreyPlanes, Grid, Scanner, SurfaceTruth, by_spec, closest_point,
 };
-use curvox::sink::{Flag, SinkError, SurfelBatch, SurfelSink};
-use curvox::volume::{Binarizer, Criterion};
-use curvox_formats::{DType, OpenOptions, RawLayout, Unit, VoxelType, open_stream};
+use curvox::sink::{Flag, SurfelBatch};
+use curvox::volume::Criterion;
+use curvox_formats::VoxelType;
 use glam::DVec3;
+
+use crate::in_memory::{places, rows_of};
 
 /// The shapes.
 const SHAPES: [&str; 3] = ["sphere:radius=9", "torus:major=6,minor=2", "goursat"];
@@ -80,21 +82,6 @@ struct Scan {
     stored: Vec<u8>,
 }
 
-/// Keeps the rows.
-#[derive(Default)]
-pub(crate) struct Rows(pub(crate) Vec<SurfelBatch>);
-
-impl SurfelSink for Rows {
-    fn write(&mut self, batch: &SurfelBatch) -> Result<(), SinkError> {
-        self.0.push(batch.clone());
-        Ok(())
-    }
-
-    fn finish(&mut self) -> Result<(), SinkError> {
-        Ok(())
-    }
-}
-
 impl GreyArgs {
     /// Makes the study and writes it.
     ///
@@ -107,8 +94,8 @@ impl GreyArgs {
              angle_rms_degrees,H_l2,H_linf\n",
         );
         let mut table = String::from("| shape | h | blur, noise |");
-        let names = std::iter::once("ii".to_owned())
-            .chain(self.sigmas.iter().map(|s| format!("gradient {s}vx")));
+        let names = ["ii".to_owned(), "default".to_owned()].into_iter();
+        let names = names.chain(self.sigmas.iter().map(|s| format!("gradient {s}vx")));
         let names: Vec<String> = names.collect();
         let _ = writeln!(table, " {} |", names.join(" | "));
         let _ = writeln!(table, "|---|---|---|{}", "---|".repeat(names.len()));
@@ -179,57 +166,45 @@ impl Scan {
 
     fn trials(&self, sigmas: &[f64]) -> Result<Vec<Trial>> {
         let radius = 3.0 / self.gridstep.sqrt();
-        let mut ways = vec![(
-            "ii".to_owned(),
-            Estimator::IntegralInvariant {
-                radius,
-                orientation: Orientation::Moment,
-            },
-        )];
+        let invariants = Estimator::IntegralInvariant {
+            radius,
+            orientation: Orientation::Moment,
+        };
+        let average = Estimator::SurfaceAverage {
+            radius: FIRST_RADIUS * radius,
+        };
+        let averaged = Weights::Compensated(Compensation::Averaged);
+        let mut ways = vec![
+            ("ii".to_owned(), invariants, Weights::Lumped),
+            ("default".to_owned(), average, averaged),
+        ];
         for &sigma in sigmas {
-            ways.push((format!("gradient_{sigma}vx"), Estimator::Gradient { sigma }));
+            let gradient = Estimator::Gradient { sigma };
+            ways.push((format!("gradient_{sigma}vx"), gradient, averaged));
         }
         let mut truth = None;
         ways.into_iter()
-            .map(|(name, estimator)| {
-                let rows = self.computed(estimator, radius)?;
+            .map(|(name, estimator, weights)| {
+                let rows = self.computed(estimator, weights, radius)?;
                 let truth = truth.get_or_insert_with(|| self.truth(&rows));
                 Ok(self.errors(name, &rows, truth))
             })
             .collect()
     }
 
-    fn computed(&self, estimator: Estimator, radius: f64) -> Result<Vec<SurfelBatch>> {
+    fn computed(
+        &self,
+        estimator: Estimator,
+        weights: Weights,
+        radius: f64,
+    ) -> Result<Vec<SurfelBatch>> {
         let dims = self.digitisation.dims().map(|n| n as u64);
-        let options = OpenOptions {
-            raw: Some(RawLayout {
-                dims,
-                dtype: DType::little(VoxelType::U16),
-                spacing: None,
-                unit: Unit::Unknown,
-                skip: 0,
-            }),
-            ..Default::default()
-        };
-        let bytes = std::io::Cursor::new(self.stored.clone());
-        let volume = open_stream(Box::new(bytes), "scan", &options)?;
-        let header = &volume.header;
         let mut settings = Settings::new(Lattice::new(dims, [self.gridstep; 3], false)?);
         settings.estimator = estimator;
+        settings.weights = weights;
         settings.radii = vec![radius];
-        let criterion = Criterion::AtLeast(HALF.into());
-        let binarizer = Binarizer::new(criterion, header.voxel, header.byte_order, None);
-        let plan = settings.plan(&Access::forward(2), 0)?;
-        let mut rows = Rows::default();
-        run(
-            Source { volume, binarizer },
-            &settings,
-            &plan,
-            &mut [&mut rows],
-            &Progress::default(),
-            &AtomicBool::new(false),
-        )?;
-        Ok(rows.0)
+        let inside = Criterion::AtLeast(HALF.into());
+        rows_of(&self.stored, VoxelType::U16, inside, &settings)
     }
 
     /// The geometry of the true surface closest to each row; `None` farther than two voxels away.
@@ -280,8 +255,7 @@ impl Scan {
             l2: 0.0,
             linf: 0.0,
         };
-        let places = rows.iter().flat_map(|b| (0..b.len()).map(move |i| (b, i)));
-        for ((batch, i), truth) in places.zip(truth) {
+        for ((batch, i), truth) in places(rows).zip(truth) {
             let at = &batch.curvatures[0];
             let has = |flag: Flag| at.flags[i] & flag.bit() != 0;
             let Some(truth) = truth.as_ref().filter(|_| !has(Flag::Island)) else {

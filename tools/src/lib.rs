@@ -29,6 +29,7 @@ pub mod agreement;
 
 pub mod formats;
 pub mod grey;
+mod in_memory;
 pub mod meshes;
 pub mod methods;
 pub mod moved;

@@ -30,8 +30,9 @@ fn info(dims: [u32; 3], radii: usize, directions: bool) -> TableInfo {
             })
             .collect(),
         directions,
-        // both columns that are only there if asked for
+        // all columns that are not always there
         quality: directions,
+        errors: directions,
         parameters: json!({"threshold": 0.5, "normals": "average"}),
         version: "0.1.0".into(),
         conventions: vec![
@@ -154,6 +155,10 @@ fn push_row(
         if info.quality {
             at.quality.push(0.1 * noise.signed());
         }
+        if info.errors {
+            at.mean_error.push(0.01 * noise.signed().abs());
+            at.gaussian_error.push(0.02 * noise.signed().abs());
+        }
         let border = if k[2] < 12 { Flag::Border.bit() } else { 0 };
         at.flags
             .push(if none { Flag::NoArea.bit() } else { 0 } | border);
@@ -223,6 +228,8 @@ fn assert_same_rows(a: &SurfelBatch, b: &SurfelBatch) {
                 c.k1.clone(),
                 c.k2.clone(),
                 c.quality.clone(),
+                c.mean_error.clone(),
+                c.gaussian_error.clone(),
             ])
         };
         assert_eq!(values(a), values(b));

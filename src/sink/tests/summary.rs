@@ -14,6 +14,7 @@ fn summary_of(info: &TableInfo, rows: &SurfelBatch, cuts: &[usize]) -> Summary {
         exact: Some(exact),
         warnings: vec!["a warning".into()],
         input: json!({"path": "scan.nii.gz"}),
+        radius_choice: None,
     })
 }
 
@@ -142,4 +143,20 @@ fn rows_read_back_give_the_same_summary() {
         sink.summary(RunFacts::default()),
         direct.summary(RunFacts::default())
     );
+}
+
+#[test]
+fn the_median_error_bar_is_that_of_the_rows() {
+    let without = info([50, 50, 150], 1, false);
+    let found = summary_of(&without, &wavy_ball(&without), &[]);
+    assert_eq!(found.radii[0].mean_curvature_error_median, None);
+    let info = info([50, 50, 150], 2, true);
+    let rows = wavy_ball(&info);
+    let mut errors = rows.curvatures[1].mean_error.clone();
+    errors.sort_by(f32::total_cmp);
+    let median = errors[(errors.len() - 1) / 2];
+    for cuts in [vec![], vec![7, 500, 501]] {
+        let found = summary_of(&info, &rows, &cuts);
+        assert_eq!(found.radii[1].mean_curvature_error_median, Some(median));
+    }
 }

@@ -349,6 +349,7 @@ mod tests {
     /// The surfels of one voxel at the origin, of unit edge, with trivial normals.
     fn one_voxel() -> Rows {
         let info = TableInfo {
+            errors: false,
             quality: false,
             dims: [1; 3],
             spacing: [1.0; 3],

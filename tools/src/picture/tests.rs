@@ -33,6 +33,7 @@ fn info(edge: u32) -> TableInfo {
             world: 1.5,
         }],
         directions: false,
+        errors: false,
         quality: false,
         parameters: Default::default(),
         version: "0.1.0".into(),
