@@ -80,6 +80,43 @@ impl<S: ImplicitShape> Case<S> {
         errors
     }
 
+    /// Shares of the surfels whose errors of H are within one and two bars, and of G.
+    fn within_bars(&self, method: NamedMethod, radius: f64) -> [f64; 4] {
+        let rows = self.rows(method, radius);
+        let at = &rows.curvatures[0];
+        let far = 2.0 * self.digitisation.spacing().max_element();
+        let (mut within, mut count) = ([0.0; 4], 0.0);
+        for i in 0..rows.len() {
+            let k = [0, 1, 2].map(|a| i64::from(rows.k[a][i]));
+            let place = self.digitisation.khalimsky_to_world(k);
+            let close = closest_point(self.digitisation.shape(), place);
+            let Some(close) = close.filter(|c| c.signed_distance.abs() < far) else {
+                continue;
+            };
+            if at.flags[i] & Flag::Island.bit() != 0 {
+                continue;
+            }
+            count += 1.0;
+            let truth = close.truth;
+            for (q, (found, truth, bar)) in [
+                (at.mean[i], truth.mean_curvature, at.mean_error[i]),
+                (
+                    at.gaussian[i],
+                    truth.gaussian_curvature,
+                    at.gaussian_error[i],
+                ),
+            ]
+            .into_iter()
+            .enumerate()
+            {
+                let bars = (f64::from(found) - truth).abs() / f64::from(bar);
+                within[2 * q] += f64::from(u8::from(bars <= 1.0));
+                within[2 * q + 1] += f64::from(u8::from(bars <= 2.0));
+            }
+        }
+        within.map(|w| w / count)
+    }
+
     /// Ratios to the errors of the paper's method.
     fn ratios(&self, method: NamedMethod, gridstep: f64) -> [f64; 4] {
         let radius = 3.0 / gridstep.sqrt();
@@ -173,9 +210,38 @@ fn solid(inside: impl Fn(DVec3) -> bool) -> Solid {
     })
 }
 
-fn rows_of(solid: &Solid, method: NamedMethod) -> SurfelBatch {
+fn rows_at(solid: &Solid, method: NamedMethod, radius: f64) -> SurfelBatch {
     let settings = Settings::new(lattice(solid, [1.0; 3], false));
-    piped(solid, &settings.with_method(method, 3.0)).0
+    piped(solid, &settings.with_method(method, radius)).0
+}
+
+fn rows_of(solid: &Solid, method: NamedMethod) -> SurfelBatch {
+    rows_at(solid, method, 3.0)
+}
+
+/// Of the surfels of `alone` that `both` has too: how many H or G change by a quarter of what curvatures are there, how many of these
+/// have none of the flags, and all.
+fn changed(alone: &SurfelBatch, both: &SurfelBatch, told: u16) -> [usize; 3] {
+    let place = |rows: &SurfelBatch, i: usize| ([0, 1, 2].map(|a| rows.k[a][i]), rows.side[i]);
+    let places: std::collections::HashMap<_, _> =
+        (0..both.len()).map(|j| (place(both, j), j)).collect();
+    let (a, b) = (&alone.curvatures[0], &both.curvatures[0]);
+    let mut counts = [0; 3];
+    for i in 0..alone.len() {
+        let Some(&j) = places.get(&place(alone, i)) else {
+            continue;
+        };
+        counts[2] += 1;
+        // NaN is off too
+        let off = |x: f32, y: f32| (x - y).abs().total_cmp(&(0.25 * x.abs())).is_gt();
+        if off(a.mean[i], b.mean[j]) || off(a.gaussian[i], b.gaussian[j]) {
+            counts[0] += 1;
+            // an error bar of a quarter tells it too
+            let short = b.mean_error[j] < 0.25 * b.mean[j].abs();
+            counts[1] += usize::from(b.flags[j] & told == 0 && short);
+        }
+    }
+    counts
 }
 
 #[test]
@@ -206,29 +272,97 @@ fn each_sheet_of_a_wall_two_voxels_thick_is_as_if_the_other_were_not_there() {
 
 #[test]
 fn faces_of_a_cube_are_flat_away_from_its_edges() {
-    let cube = solid(|p| p.abs().max_element() <= 16.3);
-    for (method, reach, rest) in [
-        (NamedMethod::Default, 9.0, 1e-6),
-        (NamedMethod::Refined, 13.0, 1e-3),
+    let cube = solid(|p| p.abs().max_element() <= 26.3);
+    for (method, radius, reach, rest) in [
+        (NamedMethod::Default, 3.0, 9.0, 1e-6),
+        (NamedMethod::Default, 6.0, 17.5, 1e-6),
+        (NamedMethod::Refined, 3.0, 13.0, 1e-3),
+        (NamedMethod::Refined, 6.0, 24.0, 1e-3),
     ] {
-        let rows = rows_of(&cube, method);
+        let rows = rows_at(&cube, method, radius);
         let at = &rows.curvatures[0];
-        let mut flat = 0;
+        let largest = at.mean.iter().copied().fold(0.0, f32::max);
+        let (mut flat, mut ringing, mut sharp) = (0, 0.0f64, 0.0f64);
         for i in 0..rows.len() {
             let place = DVec3::from_array([0, 1, 2].map(|a| f64::from(rows.k[a][i]) * 0.5 - 0.5));
             let mut from_middle = (place - DVec3::new(29.83, 30.21, 30.07)).abs().to_array();
             from_middle.sort_by(f64::total_cmp);
-            let to_edge = 16.3 - from_middle[1];
+            let to_edge = 26.3 - from_middle[1];
+            let size = f64::from(at.mean[i].abs());
             if to_edge > reach {
                 flat += 1;
-                assert!(
-                    at.mean[i].abs() < rest && at.gaussian[i].abs() < rest,
-                    "{place}"
-                );
-            } else if to_edge > 4.0 {
-                assert!(at.mean[i].abs() < 0.04, "{place}: {}", at.mean[i]);
+                assert!(size < rest && at.gaussian[i].abs() < rest as f32, "{place}");
+            } else if to_edge > 1.4 * radius {
+                ringing = ringing.max(size * radius);
+            }
+            if at.mean[i] > 0.5 * largest {
+                sharp = sharp.max(to_edge / radius);
             }
         }
-        assert!(flat > 100);
+        println!(
+            "{method:?} {radius}: {flat} flat, beyond 1.4 radii |H| <= {ringing:.3} / radius, half the largest H ({:.2} / radius) within \
+             {sharp:.2} radii",
+            f64::from(largest) * radius
+        );
+        assert!(flat > 50 && ringing < 0.12 && sharp < 1.0);
+    }
+}
+
+#[test]
+fn thin_walls_and_contacts_are_right_or_flagged() {
+    let told = Flag::Rough.bit() | Flag::RadiusTooLarge.bit();
+    let ball = |p: DVec3, x: f64, radius: f64| (p - DVec3::X * x).length() <= radius;
+    for radius in [3.0, 6.0] {
+        for method in [NamedMethod::Default, NamedMethod::Refined] {
+            let outer = rows_at(&solid(|p| ball(p, 0.0, 22.0)), method, radius);
+            for thickness in [1.0, 2.0, 3.0] {
+                let shell = solid(|p| ball(p, 0.0, 22.0) && !ball(p, 0.0, 22.0 - thickness));
+                let counts = changed(&outer, &rows_at(&shell, method, radius), told);
+                println!("{method:?} {radius} shell {thickness}: {counts:?}");
+                let [changed, untold, all] = counts;
+                assert!(all > 9000 && untold * 100 < all && (thickness < 2.0 || changed == 0));
+            }
+            for gap in [0.0, 1.0, 2.0] {
+                let x = 12.0 + 0.5 * gap;
+                let one = rows_at(&solid(|p| ball(p, -x, 12.0)), method, radius);
+                let two = solid(|p| ball(p, -x, 12.0) || ball(p, x, 12.0));
+                let counts = changed(&one, &rows_at(&two, method, radius), told);
+                println!("{method:?} {radius} balls {gap}: {counts:?}");
+                // Where balls touch, the surface is one; what changes is near the contact.
+                let [changed, _, all] = counts;
+                assert!(
+                    all > 2500
+                        && if gap > 0.0 {
+                            changed == 0
+                        } else {
+                            changed * 4 < all
+                        }
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn error_bars_hold_what_they_promise() {
+    for noise in [0.0, 0.1, 0.3] {
+        for method in [NamedMethod::Default, NamedMethod::Refined] {
+            let (mut within, mut cases) = ([0.0; 4], 0.0);
+            for shape in ["sphere", "ellipsoid90", "torus", "goursat", "rcube"] {
+                for number in [1, 2] {
+                    let shares = moved(shape, number, 0.5, noise).within_bars(method, 4.2);
+                    println!("{noise} {method:?} {shape} {number}: {shares:.2?}");
+                    within.iter_mut().zip(shares).for_each(|(w, s)| *w += s);
+                    cases += 1.0;
+                }
+            }
+            let within = within.map(|w| w / cases);
+            println!("{noise} {method:?}: {within:.3?}");
+            for (i, share) in within.into_iter().enumerate() {
+                // of one gridstep; docs/accuracy has more
+                let expected = if i % 2 == 0 { 0.6..0.86 } else { 0.88..0.99 };
+                assert!(expected.contains(&share), "{noise} {method:?}: {within:?}");
+            }
+        }
     }
 }

@@ -95,7 +95,9 @@ fn the_crop_does_not_show(
         let j = at[&k];
         let (a, b) = (&rows.curvatures[0], &all.curvatures[0]);
         let bits = |c: &curvox::sink::CurvatureColumns, i: usize| {
-            [c.mean[i], c.gaussian[i], c.k1[i], c.k2[i], c.quality[i]].map(f32::to_bits)
+            let values = [c.mean[i], c.gaussian[i], c.k1[i], c.k2[i], c.quality[i]];
+            let bars = [&c.mean_error, &c.gaussian_error].map(|e| e.get(i).map(|x| x.to_bits()));
+            (values.map(f32::to_bits), bars)
         };
         assert_eq!(bits(a, i), bits(b, j), "{k:?} {what}");
         compared += 1;

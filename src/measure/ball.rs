@@ -187,10 +187,10 @@ pub struct Evidence {
 }
 
 impl BallSums {
-    /// Whether the surface is taken for noise.
+    /// Whether the surface is taken for noise, in part at least.
     #[must_use]
     pub fn is_rough(&self) -> bool {
-        (self.evidence).is_some_and(|evidence| rise(evidence.ridges, NOISY_SHARE) > 0.5)
+        (self.evidence).is_some_and(|evidence| evidence.ridges > NOISY_SHARE[0])
     }
 }
 

@@ -13,6 +13,8 @@ mod meshes;
 mod normals;
 /// Outputs of `run`: a directory, a file, a stream.
 mod outputs;
+/// `--radius auto`, the default radius and error bars.
+mod radius;
 /// What `info`, `plan`, `completions` and `man` tell.
 mod telling;
 /// Units of lengths, thresholds, conventions of the numbers.

@@ -270,6 +270,8 @@ impl Collected {
                 all.k1.extend(&from.k1);
                 all.k2.extend(&from.k2);
                 all.quality.extend(&from.quality);
+                all.mean_error.extend(&from.mean_error);
+                all.gaussian_error.extend(&from.gaussian_error);
                 all.flags.extend(&from.flags);
                 for a in 0..3 {
                     all.d1[a].extend(&from.d1[a]);
@@ -338,6 +340,8 @@ pub(crate) fn bits(batch: &SurfelBatch) -> Vec<u64> {
         for v in [&c.mean, &c.gaussian, &c.k1, &c.k2, &c.quality] {
             floats(v);
         }
+        floats(&c.mean_error);
+        floats(&c.gaussian_error);
         c.d1.iter().chain(&c.d2).for_each(|v| floats(v));
     }
     for c in &batch.curvatures {

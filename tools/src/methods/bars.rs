@@ -6,11 +6,14 @@ use anyhow::Result;
 
 use crate::paper::plot::{Axis, Line, Panel, svg};
 
-use super::case::Trial;
-use super::{COMPARED, METHODS, QUANTITIES};
+use super::case::{Task, Trial};
+use super::{COMPARED, LOOKED_AT, METHODS, QUANTITIES, SHAPES};
 
 /// Lengths that errors are compared with, in bars.
 const STEPS: usize = 16;
+
+/// Share of the surfels of a case that the ball is small enough for, below which the case is left out.
+const LEAST_RESOLVED: f64 = 0.75;
 
 /// Bars in a step.
 const STEP: f64 = 0.25;
@@ -49,9 +52,10 @@ impl Shares {
     }
 }
 
-/// The cases of one noise, method and quantity.
+/// The cases of one noise, method and quantity, of shapes that were looked at while bars were made or of others.
 struct Curve {
     noise: f64,
+    is_new: bool,
     method: usize,
     quantity: usize,
     cases: Vec<Shares>,
@@ -72,21 +76,26 @@ impl Curve {
 }
 
 impl Calibration {
-    pub(super) fn add(&mut self, noise: f64, trials: &[Trial]) {
+    pub(super) fn add(&mut self, task: &Task, trials: &[Trial]) {
+        let noise = task.noise;
+        let is_new = !SHAPES[..LOOKED_AT].contains(&task.shape);
         for method in COMPARED {
             let Some(shares) = &trials[method].shares else {
                 continue;
             };
-            if shares[0].resolved() < 0.1 {
+            if shares[0].resolved() < LEAST_RESOLVED {
                 continue;
             }
             for (quantity, shares) in shares.iter().enumerate() {
-                let is_same =
-                    |c: &&mut Curve| (c.noise, c.method, c.quantity) == (noise, method, quantity);
+                let is_same = |c: &&mut Curve| {
+                    (c.noise, c.is_new) == (noise, is_new)
+                        && (c.method, c.quantity) == (method, quantity)
+                };
                 match self.curves.iter_mut().find(is_same) {
                     Some(curve) => curve.cases.push(shares.clone()),
                     None => self.curves.push(Curve {
                         noise,
+                        is_new,
                         method,
                         quantity,
                         cases: vec![shares.clone()],
@@ -100,13 +109,19 @@ impl Calibration {
     pub(super) fn table(&self) -> String {
         let mut text = String::from(
             "\n## Error bars\n\nShare of the surfels whose error is within one and within two bars: the mean over the cases above (each \
-             with the same weight), and the least and largest of a case. Meant are 0.68 and 0.95. Counted are the surfels whose true \
-             principal curvatures are at most 1/radius (in each case a tenth of all at least): what is smaller than the ball is flattened without a trace, and no bar says so.\n\n\
-             | noise | method | of | within one | cases | within two | cases |\n|---|---|---|---|---|---|---|\n",
+             with the same weight), and the least and largest of a case; *new* are the shapes that were not looked at while the bars were made. Meant are 0.68 and 0.95. Counted are the surfels whose true \
+             principal curvatures are at most 1/radius and the cases in which these are three quarters of all at least: what is smaller than the ball is flattened without a trace, and no bar says so.\n\n\
+             | shapes | noise | method | of | cases | within one | each | within two | each |\n|---|---|---|---|---|---|---|---|---|\n",
         );
         for curve in &self.curves {
             let (method, quantity) = (METHODS[curve.method].0, QUANTITIES[curve.quantity]);
-            let _ = write!(text, "| {} | {method} | {quantity} |", curve.noise);
+            let shapes = if curve.is_new { "new" } else { "known" };
+            let count = curve.cases.len();
+            let _ = write!(
+                text,
+                "| {shapes} | {} | {method} | {quantity} | {count} |",
+                curve.noise
+            );
             for bars in [1.0, 2.0] {
                 let each = || curve.cases.iter().map(|s| s.within(bars));
                 let least = each().fold(1.0, f64::min);
@@ -129,12 +144,18 @@ impl Calibration {
         let panel = |m: usize, q: usize| {
             let of = (self.curves.iter()).filter(|c| (c.method, c.quantity) == (m, q));
             let mut lines: Vec<Line> = of
-                .enumerate()
-                .map(|(colour, curve)| Line {
-                    name: format!("noise p = {}", curve.noise),
-                    colour,
+                .map(|curve| Line {
+                    name: format!(
+                        "p = {}{}",
+                        curve.noise,
+                        if curve.is_new { ", new shapes" } else { "" }
+                    ),
+                    colour: [0.0, 0.1, 0.3, 0.5]
+                        .iter()
+                        .position(|&p| p == curve.noise)
+                        .unwrap_or(4),
                     thick: false,
-                    dashed: false,
+                    dashed: curve.is_new,
                     points: (normal.iter())
                         .map(|&(bars, _)| (bars, 1.0 - curve.mean(bars)))
                         .collect(),

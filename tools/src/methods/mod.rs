@@ -26,8 +26,8 @@ use bars::Calibration;
 use case::{Case, Task};
 use tables::{Row, Section};
 
-/// The shapes, the last two of which were not looked at while the methods were made.
-const SHAPES: [&str; 7] = [
+/// The shapes.
+const SHAPES: [&str; 9] = [
     "sphere",
     "ellipsoid90",
     "torus",
@@ -35,7 +35,12 @@ const SHAPES: [&str; 7] = [
     "rcube",
     "leopold",
     "ellipsoid:a=10,b=7,c=3",
+    "torus:major=7,minor=3.5",
+    "ellipsoid:a=10,b=8,c=6",
 ];
+
+/// How many of the shapes were looked at while the methods and their error bars were made.
+const LOOKED_AT: usize = 5;
 
 /// Methods by name, and whether their normals are turned away from the solid instead of by DGtal's rule. The first is what the
 /// last two are compared with; the second is it without the normals that DGtal's rule reverses.
@@ -58,7 +63,7 @@ pub struct MethodsArgs {
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
 
-    /// Gridsteps; those below 1/8 at the first two positions only
+    /// Gridsteps; those below 0.1 at the second position only
     #[arg(long, value_delimiter = ',', default_value = "1,0.5,0.25,0.125,0.0625")]
     gridsteps: Vec<f64>,
 
@@ -89,7 +94,7 @@ impl MethodsArgs {
             for task in tasks {
                 let name = format!("{} | {}", task.shape, task.gridstep);
                 let trials = Case::new(task)?.trials(&mut csv)?;
-                calibration.add(task.noise, &trials);
+                calibration.add(&task, &trials);
                 rows.push(Row { task, name, trials });
             }
             sections.push(Section { title, rows });
@@ -125,7 +130,7 @@ impl MethodsArgs {
             plan.push((title, tasks.map(task).collect()));
         };
         for (i, &position) in self.positions.iter().enumerate() {
-            let fine = |h: &f64| *h > 0.1 || i < 2;
+            let fine = |h: &f64| *h > 0.1 || i == 1;
             let gridsteps: Vec<f64> = self.gridsteps.iter().copied().filter(fine).collect();
             let title = if position == 0 {
                 "Axes along the grid".to_owned()
