@@ -309,7 +309,7 @@ fn faces_of_a_cube_are_flat_away_from_its_edges() {
 }
 
 #[test]
-fn thin_walls_and_contacts_are_right_or_flagged() {
+fn thin_walls_are_right_or_flagged_and_contacts_are_felt_near_them_only() {
     let told = Flag::Rough.bit() | Flag::RadiusTooLarge.bit();
     let ball = |p: DVec3, x: f64, radius: f64| (p - DVec3::X * x).length() <= radius;
     for radius in [3.0, 6.0] {
@@ -329,15 +329,13 @@ fn thin_walls_and_contacts_are_right_or_flagged() {
                 let counts = changed(&one, &rows_at(&two, method, radius), told);
                 println!("{method:?} {radius} balls {gap}: {counts:?}");
                 // Where balls touch, the surface is one; what changes is near the contact.
-                let [changed, _, all] = counts;
-                assert!(
-                    all > 2500
-                        && if gap > 0.0 {
-                            changed == 0
-                        } else {
-                            changed * 4 < all
-                        }
-                );
+                let [changed, untold, all] = counts;
+                let right = if gap > 0.0 {
+                    changed == 0
+                } else {
+                    changed * 4 < all && untold * 6 < all
+                };
+                assert!(all > 2500 && right);
             }
         }
     }

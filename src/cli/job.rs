@@ -2,7 +2,7 @@
 
 use std::sync::atomic::AtomicBool;
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use clap::Args;
 use curvox_formats::{Content, Volume};
 
@@ -18,7 +18,7 @@ use super::input::{self, CriterionArgs, InputArgs, Inside};
 use super::method::{MethodArgs, ResolvedMethod};
 use super::output::OutputArgs;
 use super::progress::Style;
-use super::scale::{RadiusChoice, Search};
+use super::scale::{self, RadiusChoice, Search};
 use super::{sizes, values};
 
 /// Arguments of `run` and `plan`.
@@ -151,6 +151,17 @@ impl JobArgs {
                 "--radius auto compares what only --method default and refined compute, with the normals and weights \
                  that are theirs; give a radius",
             ));
+        }
+        if self.method.radius_is_auto() {
+            // before any pass over the data
+            let largest = self.method.with_radius(scale::largest_radius(&lattice));
+            let largest = largest.resolve(&lattice, volume.header.unit)?;
+            let plan = self
+                .settings(&lattice, &largest)
+                .plan(&Access::of(&volume), sink_bytes);
+            plan.with_context(|| {
+                format!("--radius auto tries radii up to {}", largest.radii[0].label)
+            })?;
         }
         let (criterion, otsu) = match inside {
             Inside::Given(criterion) => (criterion, None),

@@ -27,11 +27,13 @@ use super::scale::default_radius;
 /// Options of the method.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct MethodArgs {
-    /// Radii of the balls the measures (or, with --curvature ii, the solid) are summed over; several give columns for each [default: 6vx]
+    /// Radii of the balls the measures (or, with --curvature ii, the solid) are summed over; several give columns for each [default: 6vx; less for voxels that are not cubes]
     ///
     /// Larger takes away more of the staircase of the grid and of noise, and flattens more detail; a curvature 1/R wants a radius well below R.
-    /// auto tries 3vx to 12vx and takes the one at which two estimates of H agree best, which reads the input several times.
-    /// The default is 6 mean edges of a voxel, and at least 3 of the longest: 3.8vx for voxels of 1 x 1 x 2.
+    /// auto tries radii from half to twice the default, on samples of a large image, and takes the one at which two estimates of H with
+    /// different weights agree best. It reads the input many times (no pipe; a compressed file is better unpacked first), and is for
+    /// --method default and refined with their own normals and weights.
+    /// The default is 6 mean edges of a voxel (geometric mean, to a tenth), and at least 3 of the longest: 3.8vx for voxels of 1 x 1 x 2.
     #[arg(
         long,
         value_name = "LENGTH[,LENGTH]|auto",
@@ -215,7 +217,7 @@ impl FromStr for Radius {
     type Err = Usage;
 
     fn from_str(text: &str) -> Result<Self, Usage> {
-        if text.trim() == "auto" {
+        if text.trim().eq_ignore_ascii_case("auto") {
             return Ok(Self::Auto);
         }
         text.parse().map(Self::Length)

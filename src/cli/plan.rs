@@ -45,7 +45,8 @@ const CSV_ROW: [u64; 5] = [73, 50, 115, 13, 20];
 pub(crate) fn run(args: &PlanArgs, stop: &AtomicBool) -> Result<()> {
     let args = &args.job;
     let target = args.output.maybe_target()?;
-    let job = args.prepare(Style::None, stop)?;
+    let style = Style::choose(args.output.quiet, args.output.json, false);
+    let job = args.prepare(style.of_bar(), stop)?;
     let surfels = estimate(&job)?;
     let text = if args.output.json {
         format!("{}\n", as_json(&job, surfels, target.as_ref()))
@@ -237,11 +238,8 @@ fn write_text(
         )?;
     }
     if let Some(choice) = &job.radius_choice {
-        writeln!(
-            out,
-            "           {}",
-            scale::in_words(&json!(choice), &job.info.unit)
-        )?;
+        let [chosen, medians] = scale::in_words(&json!(choice), &job.info.unit);
+        writeln!(out, "chosen     {chosen}\n           {medians}")?;
     }
     let plan = &job.plan;
     writeln!(

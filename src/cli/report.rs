@@ -358,7 +358,8 @@ impl Report {
         }
         writeln!(out, "normals    {}", in_words(&summary.parameters))?;
         if let Some(choice) = &summary.radius_choice {
-            writeln!(out, "radius     {}", scale::in_words(choice, unit))?;
+            let [chosen, medians] = scale::in_words(choice, unit);
+            writeln!(out, "radius     {chosen}\n           {medians}")?;
         }
         writeln!(out, "surfels    {}", sizes::count(summary.rows))?;
         if let Some(exact) = &summary.exact {
@@ -399,7 +400,7 @@ impl Report {
             if let Some(error) = radius.mean_curvature_error_median {
                 writeln!(
                     out,
-                    "  error    of H below {} 1/{unit} at half of the surfels (median error bar)",
+                    "  error    bars of H: median {} 1/{unit} (68 in 100 are within theirs)",
                     number(error.into())
                 )?;
             }

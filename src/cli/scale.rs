@@ -6,7 +6,8 @@
 //! another [`SAMPLES`] cubes are, at equal steps through its surfels in the order of the cubes. On these the run is made for one
 //! radius after the other, from small to large, and the median over their surfels of the difference of H between the two sums that
 //! compensated weights make is looked at ([`crate::curvature::uncertainty`]): it falls as long as the staircase of the grid and noise are what
-//! limits H, and rises once the ball flattens what it should measure. The first radius after which it rises is taken.
+//! limits H, and rises once the ball flattens what it should measure. The first radius after which it rises is taken, or the last one
+//! before most surfels are cut by the border or a tenth of them have features smaller than the ball.
 //!
 //! Guaranteed: the choice depends on the voxels and the method alone, not on memory, threads or time. Not chosen: a radius for each surfel; a run has one
 //! scale, so that its values compare.
@@ -48,14 +49,29 @@ const TRIED: [f64; 7] = [0.5, 2.0 / 3.0, 5.0 / 6.0, 1.0, 4.0 / 3.0, 5.0 / 3.0, 2
 /// Share of the surfels of the first radius that must be off the border with another, for it to be compared.
 const LEAST_SHARE: f64 = 0.5;
 
+/// Share of rows flagged `radius_too_large` that a radius must not reach, unless smaller radii have as many (as noise has).
+/// Of a body that fits in the ball all is summed in either way, and the two agree.
+const MOST_TOO_LARGE: f64 = 0.1;
+
 /// Rows that say nothing of the radius.
 const LEFT_OUT: u16 =
     Flag::Border.bit() | Flag::Island.bit() | Flag::NoArea.bit() | Flag::DegenerateNormal.bit();
 
+/// The radii that are tried, in voxels.
+fn radii(lattice: &Lattice) -> [f64; 7] {
+    let default = default_radius(lattice);
+    TRIED.map(|factor| (10.0 * factor * default).round() / 10.0)
+}
+
+/// The largest radius that is tried, in voxels.
+pub(crate) fn largest_radius(lattice: &Lattice) -> f64 {
+    radii(lattice)[TRIED.len() - 1]
+}
+
 /// The radius when nothing chooses one, in voxels (the longest edge): six mean edges (geometric), and at least three of the
 /// longest.
 ///
-/// *Measured* on a sphere of radius 20 voxels, rms error of H: 8.6 % at 3, 3.6 % at 4, 2 % at 5, 1.2 % at 6.
+/// *Measured* on a sphere of radius 20 voxels, rms error of H: 7.9 % at 3, 1.6 % at 5, 1.0 % at 6.
 /// Voxels as long as those of clinical scans would get a ball of centimetres by their longest edge alone.
 pub(crate) fn default_radius(lattice: &Lattice) -> f64 {
     let [x, y, z] = lattice.edges();
@@ -116,7 +132,28 @@ struct Census(BTreeMap<[i32; 3], u64>);
 struct Differences {
     /// The box, in cells of the region that is read.
     core: [Range<i32>; 3],
-    errors: Vec<f32>,
+    found: Found,
+}
+
+/// What was found at a radius.
+#[derive(Default)]
+struct Found {
+    differences: Vec<f32>,
+    /// Of these, flagged `radius_too_large`.
+    too_large: u64,
+}
+
+/// Why no larger radius was tried.
+#[derive(Clone, Copy, PartialEq)]
+enum End {
+    /// All were tried.
+    Largest,
+    /// The difference rose.
+    Rose,
+    /// The border and islands take too many surfels.
+    TooFew,
+    /// Features are smaller than the ball.
+    TooLarge,
 }
 
 /// The cell of a row along an axis.
@@ -145,7 +182,9 @@ impl SurfelSink for Differences {
         for row in 0..batch.len() {
             let inside = (0..3).all(|axis| self.core[axis].contains(&cell(batch, axis, row)));
             if inside && at.flags[row] & LEFT_OUT == 0 {
-                self.errors.push(at.mean_error[row]);
+                self.found.differences.push(at.mean_error[row]);
+                let is_too_large = at.flags[row] & Flag::RadiusTooLarge.bit() != 0;
+                self.found.too_large += u64::from(is_too_large);
             }
         }
         Ok(())
@@ -179,56 +218,87 @@ impl Search<'_> {
         } else {
             Vec::new()
         };
-        let default = default_radius(self.lattice);
         let mut tried: Vec<Tried> = Vec::new();
-        for factor in TRIED {
-            let voxels = (10.0 * factor * default).round() / 10.0;
-            let mut errors = Vec::new();
+        let mut share_before = 0.0;
+        let mut end = End::Largest;
+        for voxels in radii(self.lattice) {
+            let mut found = Found::default();
             if sampled.is_empty() {
                 let dims = self.lattice.dims.map(|n| 0..n as i32);
-                self.differences(settings(voxels)?, dims, &mut errors)?;
+                self.differences(settings(voxels)?, dims, &mut found)?;
             }
             for cube in &sampled {
                 let core = [2, 1, 0].map(|i| CUBE * cube[i]..CUBE * (cube[i] + 1));
-                self.differences(settings(voxels)?, core, &mut errors)?;
+                self.differences(settings(voxels)?, core, &mut found)?;
             }
-            let count = errors.len();
-            let enough = match tried.first() {
-                Some(first) => count as f64 >= LEAST_SHARE * first.surfels as f64,
-                None => count > 0,
-            };
-            if !enough {
+            let Found {
+                mut differences,
+                too_large,
+            } = found;
+            let count = differences.len();
+            let share = too_large as f64 / count.max(1) as f64;
+            if let Some(first) = tried.first() {
+                if (count as f64) < LEAST_SHARE * first.surfels as f64 {
+                    end = End::TooFew;
+                    break;
+                }
+                if share > MOST_TOO_LARGE && share > share_before {
+                    end = End::TooLarge;
+                    break;
+                }
+            }
+            if count == 0 {
+                end = End::TooFew;
                 break;
             }
-            let (_, median, _) = errors.select_nth_unstable_by(count / 2, f32::total_cmp);
+            share_before = share;
+            let (_, median, _) = differences.select_nth_unstable_by(count / 2, f32::total_cmp);
+            let median = f64::from(*median);
             let rises = tried
                 .last()
-                .is_some_and(|last| f64::from(*median) >= last.median_difference);
+                .is_some_and(|last| median > last.median_difference);
             tried.push(Tried {
                 voxels,
-                median_difference: f64::from(*median),
+                median_difference: median,
                 surfels: count as u64,
             });
             if rises {
+                end = End::Rose;
                 break;
             }
         }
+        // the smaller of equals
         let best = tried
             .iter()
             .min_by(|a, b| a.median_difference.total_cmp(&b.median_difference));
-        let (voxels, reason) = match (best, tried.last()) {
-            (Some(best), Some(last)) => (
-                best.voxels,
-                if best.voxels == last.voxels {
-                    "two estimates of H agree best at the largest radius that was tried"
-                } else {
-                    "two estimates of H agree best at this radius: below, the grid and noise part them, above, flattening"
-                },
-            ),
-            _ => (
-                default,
-                "no surfel is far enough from the border to compare radii; this is the default",
-            ),
+        let voxels = best.map_or(default_radius(self.lattice), |best| best.voxels);
+        let is_first = tried.first().is_some_and(|first| first.voxels == voxels);
+        let reason = match end {
+            _ if surfels == 0 => "there is no surfel; this is the default",
+            _ if tried.is_empty() => {
+                "no surfel is far enough from the border to compare radii; this is the default"
+            }
+            End::Rose if is_first => {
+                "two estimates of H differ more at larger radii, which flatten; a smaller one may be better still"
+            }
+            End::TooLarge if is_first => {
+                "at larger radii a tenth of the surfels and more have features smaller than the ball; a smaller one may be \
+                 better still"
+            }
+            End::Rose => {
+                "two estimates of H agree best at this radius: below, the grid and noise part them, above, flattening"
+            }
+            End::TooLarge => {
+                "two estimates of H agree best at this radius; at larger ones a tenth of the surfels and more have features \
+                 smaller than the ball"
+            }
+            End::TooFew => {
+                "two estimates of H agree best at this radius; at larger ones too few surfels are away from the border and on no \
+                 island"
+            }
+            End::Largest => {
+                "two estimates of H agree best at this radius, the largest that was tried"
+            }
         };
         Ok(RadiusChoice {
             voxels,
@@ -256,7 +326,7 @@ impl Search<'_> {
         &self,
         mut settings: Settings,
         core: [Range<i32>; 3],
-        out: &mut Vec<f32>,
+        out: &mut Found,
     ) -> Result<()> {
         settings.error_kind = ErrorKind::Differences;
         let plan = settings.plan(&Access::of(self.volume), 0)?;
@@ -264,7 +334,8 @@ impl Search<'_> {
         let dims = self.lattice.dims;
         // What is cut off all the same is flagged, and left out.
         let around: [Range<i64>; 3] = [0, 1, 2].map(|a| {
-            let reach = plan.ball_reach[a] + plan.normal_reach[a] + plan.refining_ahead() + 2;
+            let passes: i32 = plan.refining_reach.iter().map(|reach| reach[a] + 1).sum();
+            let reach = plan.ball_reach[a] + plan.normal_reach[a] + passes + 2;
             let (from, to) = (core[a].start - reach, core[a].end + reach);
             i64::from(from.max(0))..i64::from(to).min(i64::from(dims[a]))
         });
@@ -281,10 +352,10 @@ impl Search<'_> {
                 let last = core[a].end >= dims[a] as i32;
                 from..if last { cells[a] } else { to }
             }),
-            errors: std::mem::take(out),
+            found: std::mem::take(out),
         };
         self.run(volume, settings, &mut differences)?;
-        *out = differences.errors;
+        *out = differences.found;
         Ok(())
     }
 
@@ -311,25 +382,24 @@ impl Search<'_> {
     }
 }
 
-/// A choice, as the summary has it, in a line for people.
-pub(crate) fn in_words(choice: &Value, unit: &str) -> String {
+/// A choice, as the summary has it, in two lines for people.
+pub(crate) fn in_words(choice: &Value, unit: &str) -> [String; 2] {
+    // as a user types it: 12, not 12.0
+    let voxels = |of: &Value| of["voxels"].as_f64().unwrap_or(f64::NAN).to_string();
     let tried = choice["tried"].as_array().into_iter().flatten();
     let tried: Vec<String> = tried
         .map(|t| {
-            let error = t["median_difference"].as_f64().unwrap_or(f64::NAN);
-            format!("{}vx: {}", t["voxels"], number(error))
+            let difference = t["median_difference"].as_f64().unwrap_or(f64::NAN);
+            format!("{}vx {}", voxels(t), number(difference))
         })
         .collect();
-    let mut words = format!("{}vx", choice["voxels"]);
-    if tried.is_empty() {
-        words += &format!(", {}", choice["reason"].as_str().unwrap_or_default());
+    let reason = choice["reason"].as_str().unwrap_or_default();
+    let medians = if tried.is_empty() {
+        "none was compared".to_owned()
     } else {
-        words += &format!(
-            ", where two estimates of H agree best; medians of their difference, in 1/{unit}: {}",
-            tried.join(", ")
-        );
-    }
-    words
+        format!("median difference in 1/{unit}: {}", tried.join(", "))
+    };
+    [format!("{}vx: {reason}", voxels(choice)), medians]
 }
 
 /// Cubes at equal steps through the surfels, without repetition.

@@ -46,7 +46,7 @@ pub enum ErrorKind {
     /// Error bars.
     #[default]
     Bars,
-    /// The sizes of the differences of H and G between the two sums.
+    /// The size of the difference of H between the two sums, in the column of H; NaN in that of G.
     Differences,
 }
 
@@ -64,6 +64,9 @@ const TILT: f64 = 0.229;
 
 /// Contrasts that are told apart: below and above the fit has seen next to nothing.
 const CONTRASTS: [f64; 2] = [0.05, 50.0];
+
+/// Share of ridges above which the fit has seen next to nothing.
+const MOST_RIDGES: f64 = 0.6;
 
 /// Error of G over (k1^2 + k2^2)^(1/2) sigma, and over sigma^2.
 const GAUSSIAN: [f64; 2] = [1.1, 2.5];
@@ -98,7 +101,7 @@ pub fn error_bars(
     let [c1, c2] = [k1, k2].map(|k| k * k * k);
     let tilt = TILT * (c1 * c1 + c2 * c2 + (c1 + c2) * (c1 + c2)).sqrt() * scale * radius * radius;
     let left = (contrast - tilt).abs().max(0.1 * contrast) / contrast;
-    let ridges = evidence.ridges;
+    let ridges = evidence.ridges.min(MOST_RIDGES);
     let terms = [
         1.0,
         libm::log(contrast),
@@ -143,7 +146,6 @@ mod tests {
             compensation: Compensation::Averaged,
             difference,
             mean_difference: 0.4 * difference,
-            gaussian_difference: 0.0,
             ridges,
         }
     }
@@ -157,6 +159,7 @@ mod tests {
             assert!(of(0.002, 0.0)[i] < of(0.004, 0.0)[i]);
             assert!(of(0.004, 0.0)[i] < of(0.1, 0.0)[i]);
             assert!(of(0.004, 0.0)[i] < of(0.004, 0.2)[i]);
+            assert!(of(0.004, 1.0)[i] > 0.8 * of(0.004, 0.0)[i]);
         }
         let sharp = error_bars(&evidence(0.004, 0.0), &curvature(0.0, 0.3), 5.0, 5.0, 1.0);
         assert!(sharp[0] > of(0.004, 0.0)[0]);

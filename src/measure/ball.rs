@@ -180,8 +180,6 @@ pub struct Evidence {
     pub difference: f64,
     /// Difference of H, in 1/voxel unit.
     pub mean_difference: f64,
-    /// Difference of G, in 1/voxel unit squared.
-    pub gaussian_difference: f64,
     /// Share of ridges among the surfels of the ball.
     pub ridges: f64,
 }
@@ -590,8 +588,6 @@ impl BallKernel {
             compensation: of,
             difference: squares.sqrt(),
             mean_difference: 0.5 * trace,
-            gaussian_difference: (sums[0][7] / sums[0][0] - sums[1][7] / sums[1][0])
-                * (fixed::LUMPED_SOLID_ANGLE * fixed::ONE),
             ridges,
         };
         let contrast = evidence.difference * self.radius * self.radius * self.radius;

@@ -118,8 +118,10 @@ impl BrickRows {
                 let flags = flags(sums, own.marks[number], curvature.as_ref(), radius_world);
                 curvatures.push(CurvatureRow { values, flags });
                 if shared.settings.gives_errors() {
+                    // Islands and surfels without a normal of their own are no part of a surface whose curvature could be missed.
+                    let of_no_surface = Flag::Island.bit() | Flag::DegenerateNormal.bit();
                     let bars = curvature
-                        .zip(sums.evidence)
+                        .zip(sums.evidence.filter(|_| flags & of_no_surface == 0))
                         .map(|(c, evidence)| error_bars(shared, &evidence, &c, ball.radius()));
                     errors.push(bars.map_or([f32::NAN; 2], |bars| bars.map(short)));
                 }
@@ -247,15 +249,15 @@ fn error_bars(
     let unit = shared.lattice.voxel_unit_world();
     match settings.error_kind {
         ErrorKind::Bars => uncertainty::error_bars(evidence, curvature, radius, of_normals, unit),
-        ErrorKind::Differences => [
-            evidence.mean_difference.abs() / unit,
-            evidence.gaussian_difference.abs() / (unit * unit),
-        ],
+        ErrorKind::Differences => [evidence.mean_difference.abs() / unit, f64::NAN],
     }
 }
 
 /// With the eight leading binary digits, which is all that an error bar means, and packs well.
 fn short(x: f64) -> f32 {
+    if x.is_nan() {
+        return f32::NAN;
+    }
     let bits = (x as f32).to_bits();
     // Adding half of what is cut off rounds to nearest; from a finite number it makes infinity at most.
     f32::from_bits((bits + 0x8000) & 0xffff_0000)
@@ -347,4 +349,23 @@ fn curvature_flags(curvature: Option<&Curvature>, radius_world: f64) -> FlagSet 
         (curvature.is_none(), Flag::NoArea),
         (largest * radius_world > 1.0, Flag::RadiusTooLarge),
     ])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::short;
+
+    #[test]
+    fn error_bars_keep_eight_digits() {
+        for (x, y) in [(1.0, 1.0), (1.003, 1.0), (1.005, 1.0078125), (0.0, 0.0)] {
+            assert_eq!(short(x), y);
+        }
+        for exponent in -100..100 {
+            let x = 1.234567 * f64::powi(2.0, exponent);
+            assert!((f64::from(short(x)) / x - 1.0).abs() <= 1.0 / 256.0);
+        }
+        assert!(short(f64::NAN).is_nan());
+        assert_eq!(short(f64::INFINITY), f32::INFINITY);
+        assert_eq!(short(f64::from(f32::MAX)), f32::INFINITY);
+    }
 }

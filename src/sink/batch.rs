@@ -35,7 +35,7 @@ pub struct CurvatureColumns {
     /// Direction of `k2`, in world axes, sign arbitrary; empty unless directions were asked for.
     pub d2: [Vec<f32>; 3],
     /// Error to expect of `mean`, in 1/world-unit: see [`crate::curvature::uncertainty`]; empty for methods that give
-    /// none.
+    /// none, NaN on islands and where no normal could be estimated.
     pub mean_error: Vec<f32>,
     /// The same of `gaussian`, in 1/world-unit squared.
     pub gaussian_error: Vec<f32>,

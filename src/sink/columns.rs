@@ -81,7 +81,7 @@ pub(crate) fn column_descriptions(info: &TableInfo) -> Vec<(String, String)> {
             add(
                 format!("mean_curvature_error{end}"),
                 format!(
-                    "error to expect of H {at}, in 1/{unit}: 68 % are within it, 95 % within twice it"
+                    "error to expect of H {at}, in 1/{unit}: 68 % are within it, 95 % within twice it; NaN on islands"
                 ),
             );
             add(

@@ -147,7 +147,7 @@ pub struct RadiusSummary {
     /// Root mean square, weighted by area, of (k1 + k2) / 2 - H: how far the principal curvatures
     /// are from the mean one.
     pub principal_mismatch_rms: Option<f64>,
-    /// Median of the error bars of H, in 1/world-unit; `None` for methods that give none.
+    /// Median of the error bars of H, in 1/world-unit, over the rows without the flag `border` that have one; `None` if there are none.
     pub mean_curvature_error_median: Option<f32>,
     /// Root mean square, weighted by area, of the quality of the normals, mu_Omega / mu0; `None` if it
     /// was not asked for.
@@ -393,6 +393,7 @@ impl RadiusSums {
         }
         if let Some(&error) = at.mean_error.get(row)
             && error.is_finite()
+            && flags & Flag::Border.bit() == 0
         {
             *self.errors.entry(error.abs().to_bits()).or_default() += 1;
         }

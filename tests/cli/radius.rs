@@ -78,7 +78,7 @@ fn the_radius_that_is_chosen_depends_on_the_voxels_alone() {
     let mut expected: Option<(Value, Vec<u8>)> = None;
     for (i, options) in [
         &["--threads", "1"][..],
-        &["--memory", "256MiB", "--brick", "24"],
+        &["--memory", "400MiB", "--brick", "24"],
         &["--io", "read"],
         &["--region", "0:51,0:51,0:51"],
     ]
@@ -111,7 +111,7 @@ fn the_radius_that_is_chosen_depends_on_the_voxels_alone() {
     assert!(choice["voxels"].as_f64().unwrap() >= 6.0, "{choice}");
     // The same rows as with that radius typed in.
     let (auto, typed) = (place.text("out0"), place.text("typed"));
-    let radius = format!("{}vx", choice["voxels"]);
+    let radius = format!("{}vx", choice["voxels"].as_f64().unwrap());
     let run = [
         "run",
         &noisy,
@@ -153,6 +153,120 @@ fn a_large_volume_is_sampled() {
     assert!((5.0..=10.0).contains(&choice["voxels"].as_f64().unwrap()));
     let first = &choice["tried"][0];
     assert!(first["surfels"].as_u64().unwrap() < 60_000);
+}
+
+#[test]
+fn samples_of_a_region_are_those_of_the_voxels_in_it() {
+    let place = Place::with_ball();
+    let goursat = ["shape", "goursat", "--gridstep", "0.14"];
+    let choice = |name: &str, options: &[&str], margin: &str| {
+        let path = place.text(name);
+        curvox(&[&goursat[..], &["--margin", margin, "-o", &path]].concat()).out();
+        let plan = [
+            "plan",
+            &path,
+            "--threshold",
+            "1",
+            "--radius",
+            "auto",
+            "--json",
+        ];
+        curvox(&[&plan[..], options].concat()).json()["radius_choice"].clone()
+    };
+    let whole = choice("whole.nii", &[], "5");
+    let told = curvox(&["info", "--json", &place.text("whole.nii")]).json();
+    let [x, y, z] = [0, 1, 2].map(|a| told["dims"][a].as_u64().unwrap() + 7);
+    let region = format!("--region=7:{x},7:{y},7:{z}");
+    let part = choice(
+        "wide.nii",
+        &[&region, "--memory", "400MiB", "--threads", "1"],
+        "12",
+    );
+    assert_eq!(whole, part);
+    assert_eq!(whole["cubes"], 8);
+}
+
+#[test]
+fn a_body_that_fits_in_the_ball_does_not_choose_it() {
+    let place = Place::with_ball();
+    let body = place.text("body.nii");
+    let shape = ["shape", "ellipsoid:a=6.8,b=4.5,c=3.2", "--gridstep", "1"];
+    let where_to = ["--offset", "0.31,-0.17,0.43", "-o", &body];
+    curvox(&[&shape[..], &where_to].concat()).out();
+    let plan = [
+        "plan",
+        &body,
+        "--threshold",
+        "1",
+        "--radius",
+        "auto",
+        "--json",
+    ];
+    let choice = curvox(&plan).json()["radius_choice"].clone();
+    assert_eq!(choice["voxels"], 3.0, "{choice}");
+    assert!(
+        choice["reason"]
+            .as_str()
+            .unwrap()
+            .contains("smaller than the ball")
+    );
+}
+
+#[test]
+fn radii_that_do_not_fit_the_memory_are_refused_at_once() {
+    let place = Place::with_ball();
+    let ball = sphere(&place);
+    let out = place.text("out");
+    let run = [
+        "run",
+        &ball,
+        "--threshold",
+        "1",
+        "--radius",
+        "auto",
+        "--memory",
+        "200MiB",
+    ];
+    let said = curvox(&[&run[..], &["-o", &out]].concat()).fails(2);
+    assert!(
+        said.contains("up to 12vx") && said.contains("--memory"),
+        "{said}"
+    );
+}
+
+#[test]
+fn islands_have_no_error_bars() {
+    let place = Place::with_ball();
+    let noisy = place.text("noisy.nii");
+    let noise = [
+        "noise",
+        &sphere(&place),
+        "--threshold",
+        "1",
+        "--noise",
+        "0.1",
+    ];
+    curvox(&[&noise[..], &["-o", &noisy]].concat()).out();
+    let csv = curvox(&["run", &noisy, "--threshold", "1", "-q", "-o", "-"]).out();
+    let text = String::from_utf8(csv).unwrap();
+    let mut lines = text.lines();
+    let names: Vec<&str> = lines.next().unwrap().split(',').collect();
+    let column = |name: &str| names.iter().position(|n| *n == name).unwrap();
+    let (flags, bar) = (column("flags"), column("mean_curvature_error"));
+    let mut islands = 0;
+    for line in lines {
+        let values: Vec<&str> = line.split(',').collect();
+        let flags: u16 = values[flags].parse().unwrap();
+        // island and degenerate_normal
+        let is_none = flags & (4 | 64) != 0;
+        islands += u32::from(is_none);
+        assert_eq!(
+            values[bar].parse::<f64>().unwrap().is_nan(),
+            is_none,
+            "{line}"
+        );
+    }
+    assert!(islands > 100);
 }
 
 #[test]
