@@ -80,7 +80,6 @@ fn the_radius_that_is_chosen_depends_on_the_voxels_alone() {
         &["--threads", "1"][..],
         &["--memory", "400MiB", "--brick", "24"],
         &["--io", "read"],
-        &["--region", "0:51,0:51,0:51"],
     ]
     .iter()
     .enumerate()
