@@ -6,8 +6,8 @@
 //! within two voxels of it that are on no island, as specks that the noise puts elsewhere have no true curvature, and that have a
 //! value with every method.
 //!
-//! Beside the errors of each case: how they compare with the error bars ([`bars`]), how they vary with the position of the grid, and how far a
-//! voxel is felt ([`beyond`]).
+//! Beside the errors of each case: how they compare with the error bars (`bars`), how they vary with the position of the grid, and how far a
+//! voxel is felt (`beyond`).
 
 mod bars;
 mod beyond;
