@@ -328,7 +328,7 @@ fn name_of(value: impl ValueEnum) -> String {
 }
 
 /// Sigma of the gradient, in voxels. On shapes at partial volume, blurred by a voxel, with noise up to
-/// 0.1, gridsteps 1 to 1/8 (`curvox-tools grey`), the geometric means of the errors of H, l2 and linf,
+/// 0.1, gridsteps 1 to 1/8 (`curvox-tools grey`), the geometric means of the errors of H with lumped sums, l2 and linf,
 /// against integral invariants are 0.62 and 0.68 at 1, 0.57 and 0.59 at 1.5, 0.60 and 0.59 at 2:
 /// smaller lets noise through, larger flattens coarse shapes (1.4 times the error on Goursat).
 const DEFAULT_SIGMA: f64 = 1.5;
