@@ -11,6 +11,14 @@ fn sphere(place: &Place) -> String {
     ball
 }
 
+/// The same with noise of the papers.
+fn noisy_sphere(place: &Place, probability: &str) -> String {
+    let noisy = place.text("noisy.nii");
+    let noise = ["noise", &sphere(place), "--threshold", "1", "--noise"];
+    curvox(&[&noise[..], &[probability, "-o", &noisy]].concat()).out();
+    noisy
+}
+
 /// Root mean square error of H in percent, and the shares within one and two error bars.
 fn errors(csv: &[u8]) -> [f64; 3] {
     let text = std::str::from_utf8(csv).unwrap();
@@ -65,16 +73,7 @@ fn a_newcomers_sphere_has_its_curvature_at_the_default_radius_and_with_auto() {
 #[test]
 fn the_radius_that_is_chosen_depends_on_the_voxels_alone() {
     let place = Place::with_ball();
-    let noisy = place.text("noisy.nii");
-    let noise = [
-        "noise",
-        &sphere(&place),
-        "--threshold",
-        "1",
-        "--noise",
-        "0.3",
-    ];
-    curvox(&[&noise[..], &["-o", &noisy]].concat()).out();
+    let noisy = noisy_sphere(&place, "0.3");
     let mut expected: Option<(Value, Vec<u8>)> = None;
     for (i, options) in [
         &["--threads", "1"][..],
@@ -236,16 +235,7 @@ fn radii_that_do_not_fit_the_memory_are_refused_at_once() {
 #[test]
 fn islands_have_no_error_bars() {
     let place = Place::with_ball();
-    let noisy = place.text("noisy.nii");
-    let noise = [
-        "noise",
-        &sphere(&place),
-        "--threshold",
-        "1",
-        "--noise",
-        "0.1",
-    ];
-    curvox(&[&noise[..], &["-o", &noisy]].concat()).out();
+    let noisy = noisy_sphere(&place, "0.1");
     let csv = curvox(&["run", &noisy, "--threshold", "1", "-q", "-o", "-"]).out();
     let text = String::from_utf8(csv).unwrap();
     let mut lines = text.lines();
