@@ -146,13 +146,13 @@ impl JobArgs {
                 .build_global();
         }
         let mut plan = settings.plan(&Access::of(&volume), sink_bytes)?;
-        if self.method.radius_is_auto() && !settings.gives_errors() {
-            return Err(usage(
-                "--radius auto compares what only --method default and refined compute, with the normals and weights \
-                 that are theirs; give a radius",
-            ));
-        }
         if self.method.radius_is_auto() {
+            if !settings.gives_errors() {
+                return Err(usage(
+                    "--radius auto compares what only --method default and refined compute, with the normals and weights \
+                     that are theirs; give a radius",
+                ));
+            }
             // before any pass over the data
             let largest = self.method.with_radius(scale::largest_radius(&lattice));
             let largest = largest.resolve(&lattice, volume.header.unit)?;

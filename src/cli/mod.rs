@@ -67,6 +67,8 @@ enum Command {
     )]
     Run(Box<run::RunArgs>),
     /// Tell what a run would take, without running it: cut, memory, columns, size of the output
+    ///
+    /// With --radius auto the radius is chosen as a run would choose it, which computes the samples.
     #[command(after_help = conventions::EXIT_HELP)]
     Plan(Box<plan::PlanArgs>),
     /// Tell what a volume or a mesh is, or what a run left

@@ -74,6 +74,22 @@ fn a_newcomers_sphere_has_its_curvature_at_the_default_radius_and_with_auto() {
 fn the_radius_that_is_chosen_depends_on_the_voxels_alone() {
     let place = Place::with_ball();
     let noisy = noisy_sphere(&place, "0.3");
+    let run = |radius: &str, out: &str, options: &[&str]| {
+        let run = [
+            "run",
+            &noisy,
+            "--threshold",
+            "1",
+            "-q",
+            "--radius",
+            radius,
+            "-o",
+            out,
+        ];
+        curvox(&[&run[..], options].concat()).out();
+    };
+    let rows =
+        |name: &str| std::fs::read(place.path(name).join("surfels/part-00000.parquet")).unwrap();
     let mut expected: Option<(Value, Vec<u8>)> = None;
     for (i, options) in [
         &["--threads", "1"][..],
@@ -85,20 +101,9 @@ fn the_radius_that_is_chosen_depends_on_the_voxels_alone() {
     {
         let name = format!("out{i}");
         let out = place.text(&name);
-        let run = [
-            "run",
-            &noisy,
-            "--threshold",
-            "1",
-            "-q",
-            "--radius",
-            "auto",
-            "-o",
-            &out,
-        ];
-        curvox(&[&run[..], options].concat()).out();
+        run("auto", &out, options);
         let choice = summary(&place, &name)["radius_choice"].clone();
-        let rows = std::fs::read(place.path(&name).join("surfels/part-00000.parquet")).unwrap();
+        let rows = rows(&name);
         match &expected {
             None => expected = Some((choice, rows)),
             Some(expected) => assert!(*expected == (choice, rows), "{options:?}"),
@@ -108,24 +113,9 @@ fn the_radius_that_is_chosen_depends_on_the_voxels_alone() {
     println!("{choice}");
     assert!(choice["voxels"].as_f64().unwrap() >= 6.0, "{choice}");
     // The same rows as with that radius typed in.
-    let (auto, typed) = (place.text("out0"), place.text("typed"));
     let radius = format!("{}vx", choice["voxels"].as_f64().unwrap());
-    let run = [
-        "run",
-        &noisy,
-        "--threshold",
-        "1",
-        "-q",
-        "--radius",
-        &radius,
-        "-o",
-        &typed,
-    ];
-    curvox(&run).out();
-    let rows = |folder: &str| {
-        std::fs::read(std::path::Path::new(folder).join("surfels/part-00000.parquet")).unwrap()
-    };
-    assert!(rows(&auto) == rows(&typed));
+    run(&radius, &place.text("typed"), &[]);
+    assert!(rows("out0") == rows("typed"));
     assert!(summary(&place, "typed")["radius_choice"].is_null());
 }
 

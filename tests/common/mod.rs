@@ -13,10 +13,11 @@ use curvox::measure::surface::Surface;
 use curvox::normal::refine::{Estimate, RefineKernel, settled};
 use curvox::normal::{Around, NormalKernel};
 use curvox::pipeline::{Access, Outcome, Progress, Settings, Source, run};
-use curvox::sink::{SinkError, SurfelBatch, SurfelSink};
+use curvox::sink::SurfelBatch;
 use curvox::surfel::CellBox;
 use curvox::volume::{Binarizer, BitPlane, Criterion, PlaneWindow, SolidCounts};
 use curvox_formats::{DType, OpenOptions, RawLayout, Unit, VoxelType, open_stream};
+pub(crate) use curvox_tools::in_memory::Collected;
 use curvox_tools::plain::Solid;
 use glam::DVec3;
 
@@ -232,55 +233,6 @@ pub(crate) fn refined(
         .zip(first)
         .map(|(refined, &u)| settled(refined, u));
     settled.collect()
-}
-
-/// Keeps all rows.
-#[derive(Default)]
-pub(crate) struct Collected(pub(crate) Vec<SurfelBatch>);
-
-impl SurfelSink for Collected {
-    fn write(&mut self, batch: &SurfelBatch) -> Result<(), SinkError> {
-        self.0.push(batch.clone());
-        Ok(())
-    }
-
-    fn finish(&mut self) -> Result<(), SinkError> {
-        Ok(())
-    }
-}
-
-impl Collected {
-    /// All rows as one batch, whatever the cut.
-    pub(crate) fn joined(self) -> SurfelBatch {
-        let mut all = SurfelBatch::default();
-        for batch in self.0 {
-            if all.curvatures.is_empty() {
-                all.curvatures = vec![Default::default(); batch.curvatures.len()];
-            }
-            for a in 0..3 {
-                all.k[a].extend(&batch.k[a]);
-                all.position[a].extend(&batch.position[a]);
-                all.normal[a].extend(&batch.normal[a]);
-            }
-            all.side.extend(&batch.side);
-            all.area.extend(&batch.area);
-            for (all, from) in all.curvatures.iter_mut().zip(&batch.curvatures) {
-                all.mean.extend(&from.mean);
-                all.gaussian.extend(&from.gaussian);
-                all.k1.extend(&from.k1);
-                all.k2.extend(&from.k2);
-                all.quality.extend(&from.quality);
-                all.mean_error.extend(&from.mean_error);
-                all.gaussian_error.extend(&from.gaussian_error);
-                all.flags.extend(&from.flags);
-                for a in 0..3 {
-                    all.d1[a].extend(&from.d1[a]);
-                    all.d2[a].extend(&from.d2[a]);
-                }
-            }
-        }
-        all
-    }
 }
 
 /// The voxels of a solid as an open volume.

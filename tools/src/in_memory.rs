@@ -8,11 +8,25 @@ use curvox::sink::{SinkError, SurfelBatch, SurfelSink};
 use curvox::volume::{Binarizer, Criterion};
 use curvox_formats::{DType, OpenOptions, RawLayout, Unit, VoxelType, open_stream};
 
-/// Keeps the rows.
+/// Keeps all rows.
 #[derive(Default)]
-struct Rows(Vec<SurfelBatch>);
+pub struct Collected(pub Vec<SurfelBatch>);
 
-impl SurfelSink for Rows {
+impl Collected {
+    /// All rows as one batch, whatever the cut.
+    #[must_use]
+    pub fn joined(self) -> SurfelBatch {
+        let mut batches = self.0.into_iter();
+        let mut all = batches.next().unwrap_or_default();
+        for batch in batches {
+            all.extend_from(&batch, 0..batch.len());
+        }
+        all.column = [0, 0];
+        all
+    }
+}
+
+impl SurfelSink for Collected {
     fn write(&mut self, batch: &SurfelBatch) -> Result<(), SinkError> {
         self.0.push(batch.clone());
         Ok(())
@@ -27,7 +41,7 @@ impl SurfelSink for Rows {
 ///
 /// # Errors
 /// If the voxels are not as many, or the run fails.
-pub(crate) fn rows_of(
+pub fn rows_of(
     stored: &[u8],
     voxel: VoxelType,
     criterion: Criterion,
@@ -49,7 +63,7 @@ pub(crate) fn rows_of(
     let header = &volume.header;
     let binarizer = Binarizer::new(criterion, header.voxel, header.byte_order, None);
     let plan = settings.plan(&Access::forward(voxel.bytes() as u64), 0)?;
-    let mut rows = Rows::default();
+    let mut rows = Collected::default();
     run(
         Source { volume, binarizer },
         settings,
@@ -62,6 +76,6 @@ pub(crate) fn rows_of(
 }
 
 /// The places of rows, in order.
-pub(crate) fn places(rows: &[SurfelBatch]) -> impl Iterator<Item = (&SurfelBatch, usize)> {
+pub fn places(rows: &[SurfelBatch]) -> impl Iterator<Item = (&SurfelBatch, usize)> {
     rows.iter().flat_map(|b| (0..b.len()).map(move |i| (b, i)))
 }

@@ -9,6 +9,7 @@
 //! * [`agreement`] compares the plain reference with DGtal, [`accuracy`] with the truth.
 //! * [`formats`] reads every file of a folder of test data and tables what became of it.
 //! * [`grey`] compares normals from grey values with normals from bits.
+//! * [`in_memory`] makes whole runs over voxels in memory.
 //! * [`meshes`] makes polyhedra of known curvature: Schwarz lanterns, spheres, tori.
 //! * [`methods`] tables the errors of the named methods on [`moved`] shapes.
 //! * [`picture`] draws what a run of `curvox` left.
@@ -29,7 +30,7 @@ pub mod agreement;
 
 pub mod formats;
 pub mod grey;
-mod in_memory;
+pub mod in_memory;
 pub mod meshes;
 pub mod methods;
 pub mod moved;
