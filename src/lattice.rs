@@ -225,6 +225,18 @@ pub struct Metric {
 }
 
 impl Metric {
+    /// Squared length of the longest edge of a voxel.
+    #[must_use]
+    pub fn one(&self) -> u64 {
+        self.one
+    }
+
+    /// Whether voxels are cubes.
+    #[must_use]
+    pub fn is_cubic(&self) -> bool {
+        self.one == 1
+    }
+
     /// Squared length of a vector of voxel (or doubled) coordinates.
     #[inline]
     #[must_use]

@@ -120,7 +120,12 @@ pub fn main() -> ExitCode {
     log_to_stderr(cli.verbose);
     let json = cli.command.json();
     match signals::stop_flag().and_then(|stop| {
-        let result = cli.command.run(cli.verbose > 0, &stop);
+        let result = crate::simd::instructions()
+            .map_err(exit::usage)
+            .and_then(|level| {
+                tracing::debug!(%level, "instructions");
+                cli.command.run(cli.verbose > 0, &stop)
+            });
         // What fails after Ctrl-C fails because of it: the rest of a pipeline has ended too.
         match result {
             Err(_) if stop.load(Ordering::Relaxed) => Err(Error::Stopped.into()),

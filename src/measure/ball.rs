@@ -33,8 +33,8 @@
 //! With a continuous field ([`super::field`]) all measures lie on surfels: `Sharp` is then the same as
 //! `Lumped`, and `Dgtal` takes a surfel's share of all its measures. mu_Omega is summed if it was evaluated.
 //!
-//! Guaranteed: sums are of integers, so exact, but for `Compensated`, which sums floating point numbers in the order of
-//! the walk: that begins at the surfel and knows nothing of the cut into bricks. Which cells take part is decided in integers
+//! Guaranteed: sums are of integers, so exact. For that, weights of `Compensated` are rounded to multiples of 2^-15, and the
+//! measures they multiply to 2^-26 ([`super::grouped`]). Which cells take part is decided in integers
 //! (except with `Dgtal`, whose shares, rounded to 2^-48 each, and pointels go by distances in
 //! floating point). `Sharp` counts fewer linels
 //! than the rim of the set has a share in, so it is low by about 0.6 / rho; it is what makes
@@ -42,15 +42,16 @@
 
 use std::ops::Range;
 
-use crate::dispatch::{Work, dispatch};
 use crate::khalimsky::axis;
 use crate::lattice::{Ball, Lattice, LatticeError, MAX_RADIUS};
+use crate::simd::{Level, Work, dispatch};
 use crate::surfel::{Kind, Rim, Surfel, Walker, displacement};
 use crate::symmetric::Symmetric;
 
-use super::cells::{Keep, Lumped, mark};
+use super::cells::{Keep, mark};
 use super::field::Field;
 use super::fixed;
+use super::grouped::{self, Falloff, GroupSums};
 pub use super::local::LocalMeasures;
 use super::local::{LocalCells, NONE};
 use super::surface::Surface;
@@ -229,17 +230,23 @@ impl Work for SumsOf<'_> {
     type Output = Vec<BallSums>;
 
     #[inline(always)]
-    fn run(self) -> Vec<BallSums> {
-        let mut scratch = BallScratch::default();
-        if let Weights::Compensated(_) = self.kernel.weights {
-            // once, since each is multiplied many times; all are below 2^53
-            let floats = self
-                .measures
-                .lumped
-                .iter()
-                .map(|lump| lump.map(|x| x as f64));
-            scratch.lumped = floats.collect();
+    fn run<L: Level>(self) -> Vec<BallSums> {
+        if let Some(falloff) = self.kernel.falloff(self.measures) {
+            let task = grouped::Task {
+                surface: self.surface,
+                ball: &self.kernel.ball,
+                extent: self.kernel.extent,
+                falloff,
+                lumped: &self.measures.lumped,
+                omega: &self.measures.omega,
+                marks: &self.measures.marks,
+                starts: self.starts,
+            };
+            let sums = grouped::sum::<L>(&task);
+            let sums = sums.iter().map(|sums| self.kernel.of_group(sums, falloff));
+            return sums.collect();
         }
+        let mut scratch = BallScratch::default();
         // A loop and not an iterator: what an adapter calls is compiled for the baseline.
         let mut sums = Vec::with_capacity(self.starts.len());
         for &start in self.starts {
@@ -259,8 +266,6 @@ struct BallScratch {
     linel_seen: Vec<u32>,
     umbrella_seen: Vec<(u32, u32)>,
     epoch: u32,
-    /// The lumped measures as they are for sums with weights by distance.
-    lumped: Vec<[f64; 8]>,
 }
 
 /// One, in the unit of the shares of `Dgtal`: finer than the measures they multiply.
@@ -402,12 +407,7 @@ impl BallKernel {
             (Weights::Sharp, Some(cells)) => self.sum_sharp(surface, cells, start, scratch),
             (Weights::Dgtal, Some(cells)) => self.sum_dgtal(surface, cells, start, scratch),
             (Weights::Dgtal, None) => self.sum_shares(surface, measures, start, scratch),
-            (Weights::Lumped, _) | (Weights::Sharp, None) => {
-                self.sum_lumped(surface, measures, start, scratch)
-            }
-            (Weights::Compensated(of), _) => {
-                self.sum_compensated(surface, measures, start, scratch, of)
-            }
+            _ => unreachable!("lumped measures are summed by groups"),
         };
         BallSums {
             mu0: summed.mu0,
@@ -417,7 +417,7 @@ impl BallKernel {
             rim,
             several_sheets: in_ball > connected,
             cut: marks & cut != 0,
-            evidence: summed.evidence,
+            evidence: None,
         }
     }
 
@@ -452,124 +452,59 @@ impl BallKernel {
         }
     }
 
-    #[inline(always)]
-    fn sum_lumped(
-        &self,
-        surface: &Surface,
-        measures: &LocalMeasures,
-        start: usize,
-        scratch: &BallScratch,
-    ) -> Summed {
-        let mut sums: Lumped = [0; 8];
-        let mut add = |lump: &Lumped| {
-            for (sum, x) in sums.iter_mut().zip(lump) {
-                *sum += x;
+    /// How the weights of lumped measures fall off; `None` if cells count by themselves, or by DGtal's shares.
+    fn falloff(&self, measures: &LocalMeasures) -> Option<Falloff> {
+        match (self.weights, &measures.cells) {
+            (Weights::Dgtal, _) | (Weights::Sharp, Some(_)) => None,
+            (Weights::Sharp, None) | (Weights::Lumped, _) => Some(Falloff::Sharp),
+            (Weights::Compensated(of), _) => {
+                let one = 4.0 * self.ball.metric.one() as f64;
+                let supports = [of.support(), ROBUST_WIDENING].map(|radii| radii * self.radius);
+                Some(Falloff::Compensated(supports.map(|s| one * s * s)))
             }
-        };
-        match self.extent {
-            Extent::Connected => {
-                scratch
-                    .walker
-                    .part()
-                    .iter()
-                    .for_each(|&q| add(&measures.lumped[q as usize]));
-            }
-            Extent::Whole => self.for_each_run(surface, start, |range| {
-                measures.lumped[range].iter().for_each(&mut add);
-            }),
-        }
-        let mut omega = 0;
-        if !measures.omega.is_empty() {
-            match self.extent {
-                Extent::Connected => {
-                    for &q in scratch.walker.part() {
-                        omega += measures.omega[q as usize];
-                    }
-                }
-                Extent::Whole => self.for_each_run(surface, start, |range| {
-                    omega += measures.omega[range].iter().sum::<i64>();
-                }),
-            }
-        }
-        let x = sums.map(|s| s as f64);
-        Summed {
-            mu0: x[0] / fixed::ONE,
-            tensor: Symmetric::from_terms([1, 2, 3, 4, 5, 6].map(|t| x[t] / fixed::ONE)),
-            mu2: x[7] * fixed::LUMPED_SOLID_ANGLE,
-            omega: omega as f64 / fixed::ONE,
-            evidence: None,
         }
     }
 
-    /// Sums with [`Weights::Compensated`]. They are sums of floating point numbers, in the order of the walk
-    /// or, for the whole ball, of the index: neither knows of the cut into bricks.
-    #[inline(always)]
-    fn sum_compensated(
+    /// From sums over a group.
+    fn of_group(&self, sums: &GroupSums, falloff: Falloff) -> BallSums {
+        let unit = falloff.unit();
+        let measures = sums.measures.map(|m| m.map(|x| number(x) / unit));
+        let omega = sums.omega.map(|x| number(x) / unit);
+        let (x, omega, evidence) = match self.weights {
+            Weights::Compensated(of) => {
+                let ridges = f64::from(sums.ridges) / f64::from(sums.count.max(1));
+                let (x, omega, evidence) = self.compensated(of, &measures, omega, ridges);
+                (x, omega, Some(evidence))
+            }
+            _ => (measures[0], omega[0], None),
+        };
+        BallSums {
+            mu0: x[0] / fixed::ONE,
+            tensor: Symmetric::from_terms([1, 2, 3, 4, 5, 6].map(|t| x[t] / fixed::ONE)),
+            mu2: x[7] * fixed::LUMPED_SOLID_ANGLE,
+            omega: omega / fixed::ONE,
+            rim: sums.rim,
+            several_sheets: sums.several_sheets,
+            cut: sums.near_cut,
+            evidence,
+        }
+    }
+
+    /// The mixture of the sums with both weights of [`Weights::Compensated`].
+    fn compensated(
         &self,
-        surface: &Surface,
-        measures: &LocalMeasures,
-        start: usize,
-        scratch: &BallScratch,
         of: Compensation,
-    ) -> Summed {
-        let centre = surface.surfels.list[start].k;
-        let half = self.edges.map(|edge| 0.5 * edge);
+        sums: &[[f64; 8]; 2],
+        omega: [f64; 2],
+        ridges: f64,
+    ) -> ([f64; 8], f64, Evidence) {
         let per_squared = [of.support(), ROBUST_WIDENING].map(|radii| {
             let support = radii * self.radius;
             1.0 / (support * support)
         });
-        let mut sums = [[0.0f64; 8]; 2];
-        let mut omega = [0.0f64; 2];
-        let (mut ridges, mut count) = (0u32, 0u32);
-        let weights_of = |q: usize| {
-            let d = displacement(surface.surfels.list[q].k, centre);
-            let [x, y, z] = [0, 1, 2].map(|a| half[a] * f64::from(d[a]));
-            let squared = x * x + y * y + z * z;
-            let [t, r] = per_squared.map(|per| (squared * per).min(1.0));
-            [(1.0 - t) * (1.0 - 2.0 * t), 1.0 - r]
-        };
-        let mut add = |q: usize| {
-            let weights = weights_of(q);
-            let lump = &scratch.lumped[q];
-            for term in 0..8 {
-                sums[0][term] += weights[0] * lump[term];
-            }
-            for term in 0..8 {
-                sums[1][term] += weights[1] * lump[term];
-            }
-            ridges += u32::from(measures.marks[q] & mark::RIDGE != 0);
-            count += 1;
-        };
-        match self.extent {
-            Extent::Connected => {
-                for &q in scratch.walker.part() {
-                    add(q as usize);
-                }
-            }
-            Extent::Whole => self.for_each_run(surface, start, |range| {
-                for q in range {
-                    add(q);
-                }
-            }),
-        }
-        if !measures.omega.is_empty() {
-            let mut add = |q: usize| {
-                let x = measures.omega[q] as f64;
-                for (omega, weight) in omega.iter_mut().zip(weights_of(q)) {
-                    *omega += weight * x;
-                }
-            };
-            match self.extent {
-                Extent::Connected => scratch.walker.part().iter().for_each(|&q| add(q as usize)),
-                Extent::Whole => {
-                    self.for_each_run(surface, start, |range| range.for_each(&mut add))
-                }
-            }
-        }
         // The weights of a plane: 1/6 and 1/2 of the discs.
         let per_area = [6.0 * per_squared[0], 2.0 * per_squared[1]];
         let area = [0, 1].map(|i| sums[i][0] * per_area[i]);
-        let ridges = f64::from(ridges) / f64::from(count.max(1));
         let noisy = rise(ridges, NOISY_SHARE);
         let eaten = if area[1] > 0.0 {
             1.0 - rise(area[0] / area[1], EATEN_AREA)
@@ -598,13 +533,7 @@ impl BallKernel {
         let unit = 1.0 / per_area[0];
         let mix = |a: f64, b: f64| (a * parts[0] + b * parts[1]) * unit;
         let x: [f64; 8] = std::array::from_fn(|i| mix(sums[0][i], sums[1][i]));
-        Summed {
-            mu0: x[0] / fixed::ONE,
-            tensor: Symmetric::from_terms([1, 2, 3, 4, 5, 6].map(|t| x[t] / fixed::ONE)),
-            mu2: x[7] * fixed::LUMPED_SOLID_ANGLE,
-            omega: mix(omega[0], omega[1]) / fixed::ONE,
-            evidence: Some(evidence),
-        }
+        (x, mix(omega[0], omega[1]), evidence)
     }
 
     fn sum_sharp(
@@ -791,6 +720,11 @@ impl BallKernel {
     }
 }
 
+/// An integer as a number; nearly all fit 64 bits, which is quicker.
+fn number(x: i128) -> f64 {
+    i64::try_from(x).map_or_else(|_| x as f64, |x| x as f64)
+}
+
 /// 0 below a range, 1 above it, and smooth between.
 pub(crate) fn rise(x: f64, [from, to]: [f64; 2]) -> f64 {
     // not clamp: of what is no number it is 0
@@ -828,7 +762,6 @@ struct Summed {
     tensor: Symmetric,
     mu2: f64,
     omega: f64,
-    evidence: Option<Evidence>,
 }
 
 impl WideSums {
@@ -848,7 +781,6 @@ impl WideSums {
             tensor: Symmetric::from_terms(self.tensor.map(|t| fixed::to_measure(t) / one)),
             mu2: fixed::to_solid_angle(self.mu2),
             omega: fixed::to_measure(self.omega) / one,
-            evidence: None,
         }
     }
 }

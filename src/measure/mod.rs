@@ -22,6 +22,7 @@ mod evaluate;
 pub mod field;
 pub mod fixed;
 pub mod formula;
+mod grouped;
 mod local;
 pub mod patch;
 pub mod surface;

@@ -37,9 +37,9 @@
 
 use glam::DVec3;
 
-use crate::dispatch::{Work, dispatch};
 use crate::khalimsky::{OrientedSurfel, axis};
 use crate::lattice::{Lattice, LatticeError};
+use crate::simd::{Level, Work, dispatch};
 use crate::surfel::Surfels;
 use crate::volume::{BitBox, GreyBox, GreyWindow, PlaneWindow};
 
@@ -157,7 +157,7 @@ impl Work for GradientsAt<'_> {
     type Output = Vec<DVec3>;
 
     #[inline(always)]
-    fn run(self) -> Vec<DVec3> {
+    fn run<L: Level>(self) -> Vec<DVec3> {
         let mut gradients = Vec::with_capacity(self.surfels.list.len());
         for i in 0..self.surfels.list.len() {
             gradients.push(self.kernel.gradient(self.values, self.surfels.oriented(i)));

@@ -23,9 +23,9 @@
 
 use glam::DVec3;
 
-use crate::dispatch::{Work, dispatch};
 use crate::khalimsky::OrientedSurfel;
 use crate::lattice::{Ball, Lattice};
+use crate::simd::{Level, Work, dispatch};
 use crate::surfel::{CellBox, Surfels};
 use crate::symmetric::{Eigen, Symmetric, eigen};
 use crate::volume::{BitBox, PlaneWindow};
@@ -72,7 +72,7 @@ impl Work for MomentsOf<'_> {
     type Output = Vec<Moments>;
 
     #[inline(always)]
-    fn run(self) -> Vec<Moments> {
+    fn run<L: Level>(self) -> Vec<Moments> {
         // A loop and not an iterator: what an adapter calls is compiled for the baseline.
         let mut moments = Vec::with_capacity(self.voxels.len());
         for &c in self.voxels {

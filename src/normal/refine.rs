@@ -41,11 +41,11 @@
 
 use glam::DVec3;
 
-use crate::dispatch::{Work, dispatch};
 use crate::khalimsky::axis;
 use crate::lattice::{Ball, Lattice, LatticeError, MAX_RADIUS};
 use crate::measure::ball::{NOISY_SHARE, rise};
 use crate::measure::surface::Surface;
+use crate::simd::{Level, Work, dispatch};
 use crate::surfel::{Walker, displacement};
 
 use super::trivial_normal;
@@ -138,7 +138,7 @@ impl Work for PassOver<'_> {
     type Output = Vec<Refined>;
 
     #[inline(always)]
-    fn run(self) -> Vec<Refined> {
+    fn run<L: Level>(self) -> Vec<Refined> {
         let Self {
             kernel,
             number,

@@ -19,10 +19,14 @@
 //! one where it lies on the border of an open image; around a pointel the corners of surfels form
 //! cycles of 3 to 7 (*umbrellas*), or chains that end on the border.
 
+mod blocks;
 mod index;
 mod links;
+pub(crate) mod squares;
+pub(crate) mod vicinity;
 mod walk;
 
+pub use blocks::Blocks;
 pub use index::{CellBox, Kind, Surfel, SurfelIndex, Surfels};
 pub use links::{Link, Links};
 pub use walk::{Rim, Walker, displacement};

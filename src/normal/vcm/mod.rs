@@ -37,9 +37,9 @@ mod sites;
 
 use glam::DVec3;
 
-use crate::dispatch::{Work, dispatch};
 use crate::khalimsky::{Adjacency, axis, sign};
 use crate::lattice::{Ball, Lattice, LatticeError};
+use crate::simd::{Level, Work, dispatch};
 use crate::surfel::{CellBox, Links, SurfelIndex, Surfels, Walker, displacement};
 use crate::symmetric::{Eigen, Symmetric, eigen};
 use crate::volume::{BitBox, PlaneWindow};
@@ -100,7 +100,7 @@ impl Work for Around<'_> {
     type Output = Vec<Symmetric>;
 
     #[inline(always)]
-    fn run(self) -> Vec<Symmetric> {
+    fn run<L: Level>(self) -> Vec<Symmetric> {
         let cells = Cells {
             sites: self.sites,
             wanted: self.wanted,

@@ -16,7 +16,8 @@ pub enum Weights {
     Dgtal,
     /// Lumped, times (1 - t)(1 - 2t) with t the squared distance over that of the support, in
     /// radii; where the surface is noise, or both differ by no more than the staircase makes them, times
-    /// 1 - t, with a support of 1.2 radii.
+    /// 1 - t, with a support of 1.2 radii. Weights are computed in single precision and rounded to multiples
+    /// of 2^-15, measures to 2^-26.
     Compensated {
         /// 1.4 radii and a small contrast, instead of 1.6 and a larger one.
         refined: bool,
@@ -73,6 +74,22 @@ pub struct FixedSums {
     pub mu2: i64,
     /// mu_Omega.
     pub omega: i64,
+}
+
+impl Sums {
+    /// With all terms rounded as compensated sums have them: mu2 is counted in quarter turns.
+    fn rounded(self) -> Self {
+        let round = |x: f64, one: f64| {
+            let unit = one / f64::from(1 << 26);
+            (x / unit).round_ties_even() * unit
+        };
+        Sums {
+            mu0: round(self.mu0, 1.0),
+            tensor: self.tensor.map(|x| round(x, 1.0)),
+            mu2: round(self.mu2, std::f64::consts::FRAC_PI_2),
+            omega: round(self.omega, 1.0),
+        }
+    }
 }
 
 impl From<FixedSums> for Sums {
@@ -210,12 +227,15 @@ impl Ball {
                 None => lump(surface, cells, f),
             }
             .into();
-            let d = self.distance(surface, centre, surface.surfels[f as usize].k);
-            let t = supports.map(|support| (d / support).powi(2).min(1.0));
-            for (sums, weight) in sums
-                .iter_mut()
-                .zip([(1.0 - t[0]) * (1.0 - 2.0 * t[0]), 1.0 - t[1]])
-            {
+            let own = own.rounded();
+            let d = minus(
+                surface.surfels[f as usize].k,
+                surface.surfels[centre as usize].k,
+            );
+            let t = supports.map(|support| self.squared_in(d, support).min(1.0));
+            let weights = [(1.0 - t[0]) * (1.0 - 2.0 * t[0]), 1.0 - t[1]];
+            for (sums, weight) in sums.iter_mut().zip(weights) {
+                let weight = f64::from((weight * 32768.0).round_ties_even()) / 32768.0;
                 sums.mu0 += weight * own.mu0;
                 (0..6).for_each(|e| sums.tensor[e] += weight * own.tensor[e]);
                 sums.mu2 += weight * own.mu2;
@@ -262,6 +282,17 @@ impl Ball {
             tensor: std::array::from_fn(|e| mix(sums[0].tensor[e], sums[1].tensor[e])),
             mu2: mix(sums[0].mu2, sums[1].mu2),
             omega: mix(sums[0].omega, sums[1].omega),
+        }
+    }
+
+    /// The squared length of a displacement over that of `support`, in single precision.
+    fn squared_in(&self, d: [i32; 3], support: f64) -> f32 {
+        let square = self.lattice.square(d) as f64;
+        if self.scale.is_cubic() {
+            square as f32 * (1.0 / (4.0 * support * support)) as f32
+        } else {
+            const UNIT: f64 = (1u64 << 20) as f64;
+            (square * (1.0 / (4.0 * UNIT * support * support))) as f32
         }
     }
 

@@ -1,0 +1,520 @@
+//! Sums of lumped measures over the balls around groups of surfels.
+//!
+//! Comes in: the surface of a box, lumped measures, which surfels are asked for. Goes out: for each the
+//! sums of weight times measure over C(p) or W(p), as integers.
+//!
+//! Surfels of one block share their [`Vicinity`]. Of each of them against each candidate a loop over
+//! vectors computes the weights; then the eight measures of a candidate, which are one vector or two or four, are multiplied by the weights
+//! of several members at once and added to as many sums.
+//!
+//! Exact, so that no order shows: weights are integers of at most 16 binary digits, measures integers in double precision, and
+//! sums are moved to wider integers before they could reach 2^53.
+
+use crate::lattice::Ball;
+use crate::simd::{LANES, Level, rounded};
+use crate::surfel::squares::{Boxes, Cubes, Squares};
+use crate::surfel::vicinity::{Candidates, Groups, Sort, Vicinity};
+use crate::surfel::{Blocks, Rim};
+
+use super::ball::Extent;
+use super::cells::{Lumped, mark};
+use super::surface::Surface;
+
+/// A weight of 1.
+pub(super) const WEIGHT_ONE: f64 = 32768.0;
+
+/// Candidates whose weights are computed at once.
+const CHUNK: usize = 128;
+
+/// Members of a group that are summed at once, at most.
+const MOST_MEMBERS: usize = 8;
+
+/// How the weights fall with the distance.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Falloff {
+    /// 1 in the ball.
+    Sharp,
+    /// (1 - t)(1 - 2t) and 1 - t, with t the squared distance in units of these.
+    Compensated([f64; 2]),
+}
+
+/// What is summed.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Task<'a> {
+    pub(super) surface: &'a Surface,
+    pub(super) ball: &'a Ball,
+    pub(super) extent: Extent,
+    pub(super) falloff: Falloff,
+    pub(super) lumped: &'a [Lumped],
+    pub(super) omega: &'a [i64],
+    pub(super) marks: &'a [u8],
+    /// The surfels asked for.
+    pub(super) starts: &'a [usize],
+}
+
+/// Sums around one surfel, of weight (in units of 1/[`WEIGHT_ONE`]) times measure, by weight.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct GroupSums {
+    pub(super) measures: [[i128; 8]; 2],
+    pub(super) omega: [i128; 2],
+    pub(super) rim: Rim,
+    pub(super) several_sheets: bool,
+    /// Some surfel that was summed is [`mark::NEAR_CUT`].
+    pub(super) near_cut: bool,
+    /// Of what was summed, how many, and how many of these are ridges.
+    pub(super) count: u32,
+    pub(super) ridges: u32,
+}
+
+/// Added and taken away again, it leaves the nearest integer, halves to even.
+const ROUNDING: f64 = 1.5 * (1u64 << 52) as f64;
+
+/// Binary digits that measures lose to have room for weights.
+const DROPPED: f64 = 16384.0;
+
+impl Falloff {
+    /// What one in the sums is, of one in the measures.
+    pub(super) fn unit(self) -> f64 {
+        match self {
+            Falloff::Sharp => 1.0,
+            Falloff::Compensated(_) => WEIGHT_ONE / DROPPED,
+        }
+    }
+}
+
+/// The sums around each surfel that is asked for.
+#[inline(always)]
+pub(super) fn sum<L: Level>(task: &Task<'_>) -> Vec<GroupSums> {
+    let surface = task.surface;
+    let blocks = Blocks::sort(
+        surface.index.cells().size(),
+        &surface.surfels,
+        &surface.links,
+    );
+    if task.ball.metric.is_cubic() {
+        Sums::new(task, &blocks, Cubes).run::<L>()
+    } else {
+        Sums::new(task, &blocks, Boxes::of_ball(task.ball)).run::<L>()
+    }
+}
+
+/// The measures by place.
+struct Sums<'a, S: Squares> {
+    task: &'a Task<'a>,
+    blocks: &'a Blocks,
+    squares: S,
+    /// Measures as integers in double precision.
+    lumps: Vec<[f64; 8]>,
+    omega: Vec<f64>,
+    /// Whether each is a ridge, is [`mark::NEAR_CUT`], has a side on the border of an open image.
+    tags: Vec<u32>,
+    /// Candidates after which sums could be too large for double precision.
+    most_added: usize,
+}
+
+/// What is counted of candidates around one member.
+#[derive(Clone, Copy, Debug, Default)]
+struct Counts {
+    /// Of W(p), as far as it was looked at.
+    in_ball: u32,
+    /// Of C(p).
+    connected: u32,
+    /// Ridges of C(p) and of W(p).
+    ridges: u32,
+    ridges_in_ball: u32,
+    /// Whether the border of the image has to do with measures of C(p), of W(p).
+    near_cut: bool,
+    near_cut_in_ball: bool,
+    /// Whether C(p) has a side on the border of an open image.
+    open: bool,
+}
+
+impl<'a, S: Squares> Sums<'a, S> {
+    #[inline(always)]
+    fn new(task: &'a Task<'a>, blocks: &'a Blocks, squares: S) -> Self {
+        let scale = match task.falloff {
+            Falloff::Sharp => 1.0,
+            Falloff::Compensated(_) => 1.0 / DROPPED,
+        };
+        let mut lumps = Vec::with_capacity(blocks.len());
+        let mut largest = 1.0f64;
+        for &surfel in blocks.order() {
+            let mut lump = [0.0; 8];
+            for (x, &measure) in lump.iter_mut().zip(&task.lumped[surfel as usize]) {
+                // halves to even, so that a mirror image has the same
+                *x = (measure as f64 * scale + ROUNDING) - ROUNDING;
+                largest = if x.abs() > largest { x.abs() } else { largest };
+            }
+            lumps.push(lump);
+        }
+        let omega = if task.omega.is_empty() {
+            Vec::new()
+        } else {
+            let at =
+                |&surfel: &u32| (task.omega[surfel as usize] as f64 * scale + ROUNDING) - ROUNDING;
+            blocks.order().iter().map(at).collect()
+        };
+        let largest = omega.iter().fold(largest, |m, x: &f64| m.max(x.abs()));
+        let mut tags: Vec<u32> = (blocks.order().iter().enumerate())
+            .map(|(place, &surfel)| {
+                let marks = task.marks[surfel as usize];
+                u32::from(marks & mark::RIDGE != 0)
+                    | u32::from(marks & mark::NEAR_CUT != 0) << 1
+                    | u32::from(blocks.is_open(place)) << 2
+            })
+            .collect();
+        tags.resize(blocks.len() + LANES, 0);
+        let weight = match task.falloff {
+            Falloff::Sharp => 1.0,
+            Falloff::Compensated(_) => WEIGHT_ONE,
+        };
+        let most = (1u64 << 53) as f64 / (largest * weight);
+        Self {
+            task,
+            blocks,
+            squares,
+            lumps,
+            omega,
+            tags,
+            most_added: (most as usize).max(CHUNK),
+        }
+    }
+
+    #[inline(always)]
+    fn run<L: Level>(&self) -> Vec<GroupSums> {
+        let task = self.task;
+        let nothing = GroupSums {
+            measures: [[0; 8]; 2],
+            omega: [0; 2],
+            rim: Rim {
+                cut_by_ball: false,
+                open: false,
+            },
+            several_sheets: false,
+            near_cut: false,
+            count: 0,
+            ridges: 0,
+        };
+        let mut sums = vec![nothing; task.starts.len()];
+        let mut number = vec![u32::MAX; self.blocks.len()];
+        for (n, &start) in task.starts.iter().enumerate() {
+            number[self.blocks.place(start)] = n as u32;
+        }
+        let mut vicinity = Vicinity::<2>::new(self.blocks, *task.ball);
+        let near = match task.falloff {
+            Falloff::Sharp => task.ball.limit,
+            Falloff::Compensated([_, robust]) => robust.floor() as i64,
+        };
+        let mut buffers = Buffers::default();
+        let mut finished = Vec::with_capacity(MOST_MEMBERS);
+        let groups = Groups::of(self.blocks, |place| number[place] != u32::MAX);
+        for group in 0..groups.len() {
+            let members = groups.members(group);
+            vicinity.gather::<L>(members, &self.tags, Sort::Near(near));
+            vicinity.connect::<L, S>(self.squares);
+            let mut first = 0;
+            while first < members.len() {
+                finished.clear();
+                let (vicinity, buffers, finished) = (&vicinity, &mut buffers, &mut finished);
+                match (task.falloff, L::DOUBLES) {
+                    (Falloff::Sharp, 8) => self.add::<L, 8, 1>(vicinity, first, buffers, finished),
+                    (Falloff::Sharp, 4) => self.add::<L, 4, 1>(vicinity, first, buffers, finished),
+                    (Falloff::Sharp, _) => self.add::<L, 2, 1>(vicinity, first, buffers, finished),
+                    (_, 8) => self.add::<L, 4, 2>(vicinity, first, buffers, finished),
+                    (_, 4) => self.add::<L, 2, 2>(vicinity, first, buffers, finished),
+                    _ => self.add::<L, 1, 2>(vicinity, first, buffers, finished),
+                }
+                for of_member in finished.iter() {
+                    if let Some(&place) = members.get(first) {
+                        sums[number[place as usize] as usize] = *of_member;
+                    }
+                    first += 1;
+                }
+            }
+        }
+        sums
+    }
+
+    /// The sums around `P` members from `first` on, with `K` weights; the last member is taken again where there are no more.
+    #[inline(always)]
+    fn add<L: Level, const P: usize, const K: usize>(
+        &self,
+        vicinity: &Vicinity<'_, 2>,
+        first: usize,
+        buffers: &mut Buffers,
+        finished: &mut Vec<GroupSums>,
+    ) {
+        let members: [usize; P] =
+            std::array::from_fn(|i| (first + i).min(vicinity.members().len() - 1));
+        let places = members.map(|m| vicinity.relative(vicinity.members()[m] as usize));
+        let connected = members.map(|m| vicinity.connected(m));
+        let whole = self.task.extent == Extent::Whole;
+        let mut counts = [Counts::default(); P];
+        let mut wide = [[[0i128; 8]; P]; K];
+        let mut wide_omega = [[0i128; P]; K];
+        let mut sums = [[[0.0f64; 8]; P]; K];
+        let mut added = 0;
+        let lists = vicinity.lists().iter().map(|list| (list, Kind::Main));
+        let labelled = vicinity
+            .labelled()
+            .iter()
+            .map(|list| (list, Kind::Labelled));
+        let apart = [(vicinity.apart(), Kind::Apart)];
+        for (number, (list, kind)) in lists.chain(labelled).chain(apart).enumerate() {
+            if kind == Kind::Apart && !whole {
+                for i in 0..P {
+                    self.look::<L>(list, places[i], &mut counts[i]);
+                }
+                continue;
+            }
+            let n = list.padded();
+            let mut from = 0;
+            while from < n {
+                let to = (from + CHUNK).min(n);
+                // the second list is beyond the second weight's support
+                let far = K == 2 && number == 1;
+                let mut used = false;
+                for i in 0..P {
+                    let of = Around {
+                        list,
+                        range: (from, to),
+                        centre: places[i],
+                    };
+                    let weights = &mut buffers.weights[i];
+                    let counts = &mut counts[i];
+                    used |= match kind {
+                        Kind::Main => {
+                            let counted = connected[i].main;
+                            self.weigh::<L, K, false>(
+                                &of,
+                                far,
+                                counted,
+                                whole,
+                                &[],
+                                weights,
+                                counts,
+                            )
+                        }
+                        Kind::Labelled => {
+                            let labels = connected[i].labels;
+                            self.weigh::<L, K, true>(
+                                &of, far, false, whole, labels, weights, counts,
+                            )
+                        }
+                        Kind::Apart => {
+                            self.weigh::<L, K, false>(&of, far, false, whole, &[], weights, counts)
+                        }
+                    };
+                }
+                if used {
+                    if added + (to - from) > self.most_added {
+                        widen(&mut sums, &mut wide);
+                        added = 0;
+                    }
+                    added += to - from;
+                    let places = &list.place[from..to];
+                    if far {
+                        self.multiply::<L, P, 1>(places, &buffers.weights, &mut sums);
+                    } else {
+                        self.multiply::<L, P, K>(places, &buffers.weights, &mut sums);
+                    }
+                    if !self.omega.is_empty() {
+                        for k in 0..if far { 1 } else { K } {
+                            for i in 0..P {
+                                let mut sum = 0.0;
+                                for (w, &place) in buffers.weights[i][k].iter().zip(places) {
+                                    sum += w * self.omega[place as usize];
+                                }
+                                wide_omega[k][i] += sum as i128;
+                            }
+                        }
+                    }
+                }
+                from = to;
+            }
+        }
+        widen(&mut sums, &mut wide);
+        for i in 0..P {
+            let c = counts[i];
+            let (near_cut, count, ridges) = if whole {
+                (c.near_cut_in_ball, c.in_ball, c.ridges_in_ball)
+            } else {
+                (c.near_cut, c.connected, c.ridges)
+            };
+            finished.push(GroupSums {
+                measures: std::array::from_fn(|k| if k < K { wide[k][i] } else { [0; 8] }),
+                omega: std::array::from_fn(|k| if k < K { wide_omega[k][i] } else { 0 }),
+                rim: vicinity.rim(members[i], c.connected, c.open),
+                several_sheets: c.in_ball > c.connected,
+                near_cut,
+                count,
+                ridges,
+            });
+        }
+    }
+
+    /// Whether any of some candidates that do not count is in the ball.
+    #[inline(always)]
+    fn look<L: Level>(&self, list: &Candidates, centre: [f32; 3], counts: &mut Counts) {
+        let [x, y, z] =
+            [&list.x, &list.y, &list.z].map(|x| x[..list.padded()].as_chunks::<LANES>().0);
+        let centre = [L::all(centre[0]), L::all(centre[1]), L::all(centre[2])];
+        for i in 0..x.len() {
+            if counts.in_ball > counts.connected {
+                return;
+            }
+            let square = self.squares.of::<L>([
+                L::sub(L::load(&x[i]), centre[0]),
+                L::sub(L::load(&y[i]), centre[1]),
+                L::sub(L::load(&z[i]), centre[2]),
+            ]);
+            let inside = S::at_most::<L>(square, self.task.ball.limit as f64);
+            counts.in_ball += L::bits(inside).count_ones();
+        }
+    }
+
+    /// Weights of some candidates around one member; whether any can be other than 0.
+    #[inline(always)]
+    #[expect(clippy::too_many_arguments, reason = "the body of a loop")]
+    fn weigh<L: Level, const K: usize, const LABELLED: bool>(
+        &self,
+        around: &Around<'_>,
+        far: bool,
+        main: bool,
+        whole: bool,
+        labels: &[u32],
+        weights: &mut [[f64; CHUNK]; 2],
+        counts: &mut Counts,
+    ) -> bool {
+        let Around {
+            list,
+            range: (from, to),
+            centre,
+        } = *around;
+        let [x, y, z] = [&list.x, &list.y, &list.z].map(|x| x[from..to].as_chunks::<LANES>().0);
+        let label = list.label[from..to].as_chunks::<LANES>().0;
+        let (w0, w1) = weights.split_at_mut(1);
+        let w0 = w0[0].as_chunks_mut::<LANES>().0;
+        let w1 = w1[0].as_chunks_mut::<LANES>().0;
+        let centre = [L::all(centre[0]), L::all(centre[1]), L::all(centre[2])];
+        let limit = self.task.ball.limit as f64;
+        let per = match self.task.falloff {
+            Falloff::Sharp => [1.0; 2],
+            Falloff::Compensated(squared) => [1.0 / squared[0], 1.0 / squared[1]],
+        };
+        let one = L::all(1.0);
+        let weight_one = L::all(WEIGHT_ONE as f32);
+        let main = L::mask(main);
+        let all = L::mask(whole);
+        let before = *counts;
+        for i in 0..x.len() {
+            let square = self.squares.of::<L>([
+                L::sub(L::load(&x[i]), centre[0]),
+                L::sub(L::load(&y[i]), centre[1]),
+                L::sub(L::load(&z[i]), centre[2]),
+            ]);
+            let inside = S::at_most::<L>(square, limit);
+            let counted = if LABELLED {
+                L::and(inside, L::looked_up(&label[i], labels))
+            } else {
+                L::and(inside, main)
+            };
+            let summed = L::and(inside, L::or(counted, all));
+            counts.in_ball += L::bits(inside).count_ones();
+            counts.connected += L::bits(counted).count_ones();
+            if let Some(tagged) = list.tagged(from / LANES + i) {
+                let (inside, counted) = (L::bits(inside), L::bits(counted));
+                counts.ridges += (counted & tagged[0]).count_ones();
+                counts.ridges_in_ball += (inside & tagged[0]).count_ones();
+                counts.near_cut |= counted & tagged[1] != 0;
+                counts.near_cut_in_ball |= inside & tagged[1] != 0;
+                counts.open |= counted & tagged[2] != 0;
+            }
+            if K == 1 {
+                L::store_chosen(one, summed, &mut w0[i]);
+            } else {
+                let t = L::min(S::scaled::<L>(square, per[0]), one);
+                let w = L::mul(L::sub(one, t), L::sub(one, L::add(t, t)));
+                L::store_chosen(rounded::<L>(L::mul(w, weight_one)), summed, &mut w0[i]);
+                if !far {
+                    let t = L::min(S::scaled::<L>(square, per[1]), one);
+                    let w = L::mul(L::sub(one, t), weight_one);
+                    L::store_chosen(rounded::<L>(w), summed, &mut w1[i]);
+                }
+            }
+        }
+        if whole {
+            counts.in_ball > before.in_ball
+        } else {
+            counts.connected > before.connected
+        }
+    }
+
+    /// Adds measures times weights.
+    #[inline(always)]
+    fn multiply<L: Level, const P: usize, const K: usize>(
+        &self,
+        places: &[u32],
+        weights: &[[[f64; CHUNK]; 2]; MOST_MEMBERS],
+        sums: &mut [[[f64; 8]; P]],
+    ) {
+        let mut local = [[[0.0f64; 8]; P]; K];
+        local.copy_from_slice(&sums[..K]);
+        for (q, &place) in places.iter().enumerate() {
+            let lump = &self.lumps[place as usize];
+            for k in 0..K {
+                for i in 0..P {
+                    let w = weights[i][k][q];
+                    for t in 0..8 {
+                        local[k][i][t] = L::multiply_add(w, lump[t], local[k][i][t]);
+                    }
+                }
+            }
+        }
+        sums[..K].copy_from_slice(&local);
+    }
+}
+
+/// What kind of candidates a list holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    Main,
+    Labelled,
+    Apart,
+}
+
+/// Some candidates around one member.
+#[derive(Clone, Copy)]
+struct Around<'a> {
+    list: &'a Candidates,
+    range: (usize, usize),
+    centre: [f32; 3],
+}
+
+/// Weights of the candidates of a chunk, by member and weight.
+struct Buffers {
+    weights: Box<[[[f64; CHUNK]; 2]; MOST_MEMBERS]>,
+}
+
+impl Default for Buffers {
+    fn default() -> Self {
+        Self {
+            weights: Box::new([[[0.0; CHUNK]; 2]; MOST_MEMBERS]),
+        }
+    }
+}
+
+/// Moves sums to wide integers.
+#[inline(always)]
+fn widen<const P: usize, const K: usize>(
+    sums: &mut [[[f64; 8]; P]; K],
+    wide: &mut [[[i128; 8]; P]; K],
+) {
+    for (sum, wide) in sums.iter_mut().flatten().zip(wide.iter_mut().flatten()) {
+        for (sum, wide) in sum.iter_mut().zip(wide) {
+            // below 2^53, so i64 holds it
+            *wide += i128::from(*sum as i64);
+            *sum = 0.0;
+        }
+    }
+}

@@ -1,0 +1,972 @@
+//! The parts of the surface in the balls around the surfels of a group, found for all of them at once.
+//!
+//! Comes in: [`Blocks`], a ball, a group of neighbouring surfels on one component of the surface (its
+//! *members*). Goes out: lists of *candidates*, which hold every surfel that is in the ball of some
+//! member, in the form that loops over vectors read; and for each member which of them are connected to it within
+//! its ball, so are in C(p) if they are in W(p).
+//!
+//! **Without walking.** A surfel is *descending* for the group if one of its neighbours is nearer to every point
+//! of the box around the members. From a descending surfel in W(p) a path through W(p) leads to one that is not,
+//! since squared distances are integers. Those that are not are the *hub*, a few around the group; if for a
+//! member p each surfel of the hub in W(p) but p itself has a neighbour nearer to p, then every path ends
+//! at p, and W(p) = C(p) as far as candidates go. On smooth surfaces nearly every member passes.
+//!
+//! **With labels.** Where some member does not pass, candidates are labelled by the surfel of the hub
+//! that they descend to, and labels are joined across linels between surfels that are in the balls of all
+//! members (the *core*). What is then left between different labels are *edges*: pairs of
+//! neighbours that count for a member if both are in its ball. So each member joins a handful of labels instead of
+//! walking over its ball. Candidates whose labels no member can reach are *apart*: with those of other components, they only tell that there
+//! are several sheets.
+//!
+//! Guaranteed: the same sets as [`super::Walker`] finds, exactly. Decisions that are not in integers (voxels
+//! that are not cubes) are on the safe side: they only cost time.
+
+use std::ops::Range;
+
+use crate::lattice::Ball;
+use crate::simd::{LANES, Level, dot};
+
+use super::blocks::{Blocks, NONE, find, unite};
+use super::squares::Squares;
+use super::walk::Rim;
+
+/// A coordinate that is in no ball.
+const NOWHERE: f32 = 1e6;
+
+/// No side leads nearer to all members.
+const NO_SIDE: u8 = 4;
+
+/// Slack of decisions in single precision, relative.
+const SLACK: f32 = 1e-5;
+
+/// Binary digits of tags.
+pub(crate) const PLANES: usize = 3;
+
+/// Candidates in the form that loops over vectors read, one array for each of their properties. Padded.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Candidates {
+    len: usize,
+    /// Khalimsky coordinates relative to [`Vicinity::origin`].
+    pub(crate) x: Vec<f32>,
+    /// As `x`, along y.
+    pub(crate) y: Vec<f32>,
+    /// As `x`, along z.
+    pub(crate) z: Vec<f32>,
+    /// Their places.
+    pub(crate) place: Vec<u32>,
+    /// Their tags, of [`PLANES`] binary digits.
+    tag: Vec<u32>,
+    /// Whether some tag is not 0.
+    has_tags: bool,
+    /// Each digit of the tags, sixteen candidates a number; empty if there is none.
+    planes: [Vec<u16>; PLANES],
+    /// Label, if they are of a list with labels.
+    pub(crate) label: Vec<u32>,
+}
+
+impl Candidates {
+    /// How many there are with those that fill the arrays up.
+    #[must_use]
+    pub(crate) fn padded(&self) -> usize {
+        self.len.next_multiple_of(LANES)
+    }
+
+    fn make_room(&mut self, more: usize) {
+        let room = self.len + more + LANES;
+        if self.x.len() < room {
+            let room = room.next_power_of_two();
+            for list in [&mut self.x, &mut self.y, &mut self.z] {
+                list.resize(room, NOWHERE);
+            }
+            for list in [&mut self.place, &mut self.tag, &mut self.label] {
+                list.resize(room, 0);
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn set(&mut self, at: usize, k: [f32; 3], place: u32, tag: u32) {
+        self.x[at] = k[0];
+        self.y[at] = k[1];
+        self.z[at] = k[2];
+        self.place[at] = place;
+        self.tag[at] = tag;
+    }
+
+    fn clear(&mut self) {
+        self.len = 0;
+        self.has_tags = false;
+    }
+
+    /// Adds those chosen of sixteen places from `from` on. There must be room for sixteen.
+    #[inline(always)]
+    fn take<L: Level>(&mut self, k: [L::F; 3], from: usize, tags: &[u32; LANES], chosen: u16) {
+        if chosen == 0 {
+            return;
+        }
+        let mut places = [0; LANES];
+        for (i, place) in places.iter_mut().enumerate() {
+            *place = from as u32 + i as u32;
+        }
+        let mask = L::from_bits(chosen);
+        let at = self.len;
+        L::compress(k[0], mask, sixteen_mut(&mut self.x, at));
+        L::compress(k[1], mask, sixteen_mut(&mut self.y, at));
+        L::compress(k[2], mask, sixteen_mut(&mut self.z, at));
+        L::compress_u32(&places, mask, sixteen_mut(&mut self.place, at));
+        L::compress_u32(tags, mask, sixteen_mut(&mut self.tag, at));
+        self.has_tags |= L::bits(L::equal(tags, 0)) & chosen != chosen;
+        self.len += chosen.count_ones() as usize;
+    }
+
+    fn push_labelled(&mut self, k: [f32; 3], place: u32, tag: u32, label: u32) {
+        self.make_room(1);
+        self.set(self.len, k, place, tag);
+        self.label[self.len] = label;
+        self.has_tags |= tag != 0;
+        self.len += 1;
+    }
+
+    fn pad(&mut self) {
+        self.make_room(0);
+        for at in self.len..self.padded() {
+            self.set(at, [NOWHERE; 3], 0, 0);
+            self.label[at] = 0;
+        }
+        for (digit, plane) in self.planes.iter_mut().enumerate() {
+            plane.clear();
+            if self.has_tags {
+                let tags = self.tag[..self.len.next_multiple_of(LANES)]
+                    .as_chunks::<LANES>()
+                    .0;
+                plane.extend(tags.iter().map(|tags| {
+                    let digits = tags.iter().enumerate();
+                    digits.fold(0, |bits, (i, tag)| bits | ((tag >> digit & 1) as u16) << i)
+                }));
+            }
+        }
+    }
+
+    /// Which of sixteen candidates have each digit in their tags, by digit.
+    #[inline(always)]
+    pub(crate) fn tagged(&self, sixteen: usize) -> Option<[u16; PLANES]> {
+        if !self.has_tags {
+            return None;
+        }
+        Some([
+            self.planes[0][sixteen],
+            self.planes[1][sixteen],
+            self.planes[2][sixteen],
+        ])
+    }
+
+    fn k(&self, at: usize) -> [f32; 3] {
+        [self.x[at], self.y[at], self.z[at]]
+    }
+}
+
+/// Sixteen numbers of a list.
+#[inline(always)]
+fn sixteen<T>(list: &[T], from: usize) -> &[T; LANES] {
+    list[from..]
+        .first_chunk()
+        .expect("lists have sixteen more than they need")
+}
+
+#[inline(always)]
+fn sixteen_mut<T>(list: &mut [T], from: usize) -> &mut [T; LANES] {
+    list[from..]
+        .first_chunk_mut()
+        .expect("lists have sixteen more than they need")
+}
+
+/// Surfels of the hub.
+#[derive(Clone, Debug, Default)]
+struct Hub {
+    len: usize,
+    k: [Vec<f32>; 3],
+    /// Displacements to the neighbours, by side and axis.
+    steps: [[Vec<f32>; 3]; 4],
+}
+
+/// Pairs of neighbours of different labels.
+#[derive(Clone, Debug, Default)]
+struct Edges {
+    labels: Vec<[u32; 2]>,
+    /// Coordinates of both, padded.
+    k: [[Vec<f32>; 3]; 2],
+}
+
+/// Which candidates count for a member.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Connected<'a> {
+    /// Whether those without a label do.
+    pub(crate) main: bool,
+    /// 1 for each label that does, else 0.
+    pub(crate) labels: &'a [u32],
+}
+
+/// The candidates around one group after another. `LISTS` is into how many lists the caller sorts
+/// them.
+#[derive(Debug)]
+pub(crate) struct Vicinity<'a, const LISTS: usize> {
+    blocks: &'a Blocks,
+    ball: Ball,
+    /// Squared edges of a voxel and the squared radius in single precision.
+    squares: [f32; 3],
+    limit: f32,
+    members: Vec<u32>,
+    /// Khalimsky coordinates of what the candidates' are relative to.
+    origin: [i32; 3],
+    /// Middle of the box around the members, and half its extents.
+    middle: [f32; 3],
+    half: [f32; 3],
+    descent: f32,
+    lists: [Candidates; LISTS],
+    /// Candidates of labels that not every member reaches, by list.
+    labelled: [Candidates; LISTS],
+    apart: Candidates,
+    hub: Hub,
+    runs: Vec<Range<usize>>,
+    flags: Vec<Flags>,
+    passed: Vec<bool>,
+    /// Whether candidates have labels, and how many there are.
+    labels: Option<usize>,
+    /// For each member, 1 for each label that is connected to it; the label of `lists` first.
+    alive: Vec<u32>,
+    labelling: Labelling,
+}
+
+/// Scratch memory of labelling.
+#[derive(Debug, Default)]
+struct Labelling {
+    /// By place, the side that leads nearer to all members, or [`NO_SIDE`].
+    sides: Vec<u8>,
+    /// By candidate, numbered through the padded lists: its place or [`NONE`].
+    places: Vec<u32>,
+    parent: Vec<u32>,
+    root: Vec<u32>,
+    /// Which are in the balls of all members, sixteen a number.
+    core: Vec<u16>,
+    label: Vec<u32>,
+    counts: Vec<u32>,
+    /// Neighbours of different roots that are not both in the core.
+    pending: Vec<[u32; 2]>,
+    edges: Edges,
+    /// Labels of the members.
+    of_members: Vec<u32>,
+    joined: Vec<u32>,
+    /// The candidate at each place, else [`NONE`].
+    slots: Vec<u32>,
+    /// By old label, the new one.
+    renamed: Vec<u32>,
+}
+
+/// Groups of surfels: each of one block and one component of the surface.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Groups {
+    /// Places of the members, group by group.
+    members: Vec<u32>,
+    /// One past the last member of each group.
+    ends: Vec<u32>,
+}
+
+impl Groups {
+    /// Groups the surfels for whose places `is_member` holds.
+    pub(crate) fn of(blocks: &Blocks, is_member: impl Fn(usize) -> bool) -> Self {
+        let mut groups = Self::default();
+        let mut rest: Vec<u32> = Vec::new();
+        for run in blocks.blocks() {
+            rest.clear();
+            rest.extend(run.filter(|&p| is_member(p)).map(|p| p as u32));
+            while let Some(&first) = rest.first() {
+                let component = blocks.component[first as usize];
+                rest.retain(|&p| {
+                    let same = blocks.component[p as usize] == component;
+                    if same {
+                        groups.members.push(p);
+                    }
+                    !same
+                });
+                groups.ends.push(groups.members.len() as u32);
+            }
+        }
+        groups
+    }
+
+    /// How many there are.
+    pub(crate) fn len(&self) -> usize {
+        self.ends.len()
+    }
+
+    /// Places of the members of a group.
+    pub(crate) fn members(&self, group: usize) -> &[u32] {
+        let from = if group == 0 { 0 } else { self.ends[group - 1] };
+        &self.members[from as usize..self.ends[group] as usize]
+    }
+}
+
+/// What is known of sixteen surfels, one a bit.
+#[derive(Clone, Copy, Debug, Default)]
+struct Flags {
+    /// In the ball of some member, as far as the box around the members tells.
+    kept: u16,
+    /// In the near ball of some member.
+    near: u16,
+    /// Not descending.
+    hub: u16,
+}
+
+/// How candidates are sorted into lists.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Sort<'a> {
+    /// The first list is of those that may be within this squared distance of some member, in
+    /// the unit of the ball's limit.
+    Near(i64),
+    /// By the class of each place, below the number of lists.
+    ByClass(&'a [u32]),
+}
+
+impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
+    /// For balls around surfels of a box, which must cover all that is in them.
+    #[must_use]
+    pub(crate) fn new(blocks: &'a Blocks, ball: Ball) -> Self {
+        let one = ball.metric.one() as f64;
+        Self {
+            blocks,
+            ball,
+            squares: ball.metric.weights.map(|w| (w as f64 / one) as f32),
+            limit: (ball.limit as f64 / one) as f32,
+            members: Vec::new(),
+            origin: [0; 3],
+            middle: [0.0; 3],
+            half: [0.0; 3],
+            descent: 0.0,
+            lists: std::array::from_fn(|_| Candidates::default()),
+            labelled: std::array::from_fn(|_| Candidates::default()),
+            apart: Candidates::default(),
+            hub: Hub::default(),
+            runs: Vec::new(),
+            flags: Vec::new(),
+            passed: Vec::new(),
+            labels: None,
+            alive: Vec::new(),
+            labelling: Labelling::default(),
+        }
+    }
+
+    /// Slack for decisions that must not be wrong on one side; none where all is in integers.
+    fn slack(&self) -> f32 {
+        if self.ball.metric.is_cubic() {
+            0.0
+        } else {
+            SLACK
+        }
+    }
+
+    /// Gathers the candidates around a group. `tags`, by place, go with them.
+    #[inline(always)]
+    pub(crate) fn gather<L: Level>(&mut self, members: &[u32], tags: &[u32], sort: Sort<'_>) {
+        self.members.clear();
+        self.members.extend_from_slice(members);
+        let (mut lo, mut hi) = ([i32::MAX; 3], [i32::MIN; 3]);
+        for &place in members {
+            let k = self.blocks.k_at(place as usize);
+            for a in 0..3 {
+                lo[a] = lo[a].min(i32::from(k[a]));
+                hi[a] = hi[a].max(i32::from(k[a]));
+            }
+        }
+        self.origin = lo;
+        self.half = [0, 1, 2].map(|a| 0.5 * (hi[a] - lo[a]) as f32);
+        self.middle = [0, 1, 2].map(|a| lo[a] as f32 + self.half[a]);
+        let steepest = (0..3).map(|a| self.squares[a] * (4.0 * self.half[a] + 4.0));
+        self.descent = 0.5 * steepest.fold(0.0, f32::max) * (1.0 + 100.0 * self.slack());
+        for list in self.lists.iter_mut().chain(&mut self.labelled) {
+            list.clear();
+        }
+        self.apart.clear();
+        self.hub.len = 0;
+        self.labels = None;
+        let reach = [0, 1, 2].map(|a| self.ball.half_width(a, 0).unwrap_or(0));
+        let from = [0, 1, 2].map(|a| lo[a] - reach[a]);
+        let to = [0, 1, 2].map(|a| hi[a] + reach[a]);
+        let near = match sort {
+            Sort::Near(square) => (square as f64 / self.ball.metric.one() as f64) as f32,
+            Sort::ByClass(_) => 0.0,
+        };
+        let component = self.blocks.component[members[0] as usize];
+        self.blocks.runs(from, to, &mut self.runs);
+        for number in 0..self.runs.len() {
+            let run = self.runs[number].clone();
+            self.flag::<L>(run.clone(), near);
+            self.take::<L>(run, component, tags, sort);
+        }
+        for list in &mut self.lists {
+            list.pad();
+        }
+        self.apart.pad();
+        self.pad_hub();
+        self.pass_members::<L>();
+    }
+
+    /// What of a run of places is a candidate, near, and in the hub.
+    #[inline(always)]
+    fn flag<L: Level>(&mut self, run: Range<usize>, near: f32) {
+        // beyond the run are other surfels, whose flags nobody asks for
+        let n = run.len().div_ceil(LANES);
+        let run = run.start..run.start + n * LANES;
+        let k = [0, 1, 2].map(|a| self.blocks.k[a][run.clone()].as_chunks::<LANES>().0);
+        let steps = [0, 1, 2, 3].map(|side| {
+            [0, 1, 2].map(|a| {
+                self.blocks.steps[side][a][run.clone()]
+                    .as_chunks::<LANES>()
+                    .0
+            })
+        });
+        let slack = 1.0 + self.slack();
+        let (limit, near) = (L::all(self.limit * slack), L::all(near * slack));
+        let descent = L::all(-self.descent);
+        let zero = L::all(0.0);
+        self.flags.clear();
+        for i in 0..n {
+            let mut nearest = zero;
+            let mut scaled = [zero; 3];
+            for a in 0..3 {
+                let d = L::sub(L::load_i16(&k[a][i]), L::all(self.middle[a]));
+                let size = L::max(d, L::sub(zero, d));
+                let beyond = L::max(L::sub(size, L::all(self.half[a])), zero);
+                let square = L::all(self.squares[a]);
+                nearest = L::add(nearest, L::mul(square, L::mul(beyond, beyond)));
+                scaled[a] = L::mul(square, d);
+            }
+            // 2 (q - c).s + 2 half.|s| + |s|^2 < 0 for a step s that leads nearer to all points of the box
+            let mut lowest = zero;
+            for step in &steps {
+                let step = [
+                    L::load_i8(&step[0][i]),
+                    L::load_i8(&step[1][i]),
+                    L::load_i8(&step[2][i]),
+                ];
+                lowest = L::min(dot::<L>(step, scaled), lowest);
+            }
+            self.flags.push(Flags {
+                kept: L::bits(L::at_most(nearest, limit)),
+                near: L::bits(L::at_most(nearest, near)),
+                hub: L::bits(L::at_most(descent, lowest)),
+            });
+        }
+    }
+
+    /// Sorts what was flagged into the lists.
+    #[inline(always)]
+    fn take<L: Level>(&mut self, run: Range<usize>, component: u32, tags: &[u32], sort: Sort<'_>) {
+        for candidates in &mut self.lists {
+            candidates.make_room(run.len() + LANES);
+        }
+        let origin = self.origin.map(|k| L::all(k as f32));
+        let blocks = self.blocks;
+        for i in 0..self.flags.len() {
+            let flags = self.flags[i];
+            let from = run.start + i * LANES;
+            let mut kept = flags.kept;
+            if run.end - from < LANES {
+                kept &= (1 << (run.end - from)) - 1;
+            }
+            if kept == 0 {
+                continue;
+            }
+            let same = L::bits(L::equal(sixteen(&blocks.component, from), component));
+            let mut apart = kept & !same;
+            while apart != 0 {
+                let place = from + apart.trailing_zeros() as usize;
+                apart &= apart - 1;
+                let k = self.relative(place);
+                self.apart.push_labelled(k, place as u32, tags[place], 0);
+            }
+            kept &= same;
+            let mut hub = kept & flags.hub;
+            while hub != 0 {
+                let place = from + hub.trailing_zeros() as usize;
+                hub &= hub - 1;
+                self.push_hub(self.relative(place), place);
+            }
+            let k = [
+                L::sub(L::load_i16(sixteen(&blocks.k[0], from)), origin[0]),
+                L::sub(L::load_i16(sixteen(&blocks.k[1], from)), origin[1]),
+                L::sub(L::load_i16(sixteen(&blocks.k[2], from)), origin[2]),
+            ];
+            let tags = sixteen(tags, from);
+            match sort {
+                Sort::Near(_) => {
+                    self.lists[0].take::<L>(k, from, tags, kept & flags.near);
+                    self.lists[1].take::<L>(k, from, tags, kept & !flags.near);
+                }
+                Sort::ByClass(classes) => {
+                    let classes = sixteen(classes, from);
+                    for (class, list) in self.lists.iter_mut().enumerate() {
+                        let of_class = L::bits(L::equal(classes, class as u32));
+                        list.take::<L>(k, from, tags, kept & of_class);
+                    }
+                }
+            }
+        }
+    }
+
+    fn push_hub(&mut self, k: [f32; 3], place: usize) {
+        let at = self.hub.len;
+        if self.hub.k[0].len() < at + LANES {
+            let room = (at + LANES).next_power_of_two();
+            let lists = self.hub.k.iter_mut();
+            for list in lists.chain(self.hub.steps.iter_mut().flatten()) {
+                list.resize(room, 0.0);
+            }
+        }
+        for a in 0..3 {
+            self.hub.k[a][at] = k[a];
+            for side in 0..4 {
+                self.hub.steps[side][a][at] = f32::from(self.blocks.steps[side][a][place]);
+            }
+        }
+        self.hub.len += 1;
+    }
+
+    fn pad_hub(&mut self) {
+        let end = self.hub.len.next_multiple_of(LANES);
+        for list in &mut self.hub.k {
+            list.resize(list.len().max(end), NOWHERE);
+            list[self.hub.len..end].fill(NOWHERE);
+        }
+        for list in self.hub.steps.iter_mut().flatten() {
+            list.resize(list.len().max(end), 0.0);
+        }
+    }
+
+    /// Whether each member is sure to be connected to all candidates in its ball.
+    #[inline(always)]
+    fn pass_members<L: Level>(&mut self) {
+        self.passed.clear();
+        let n = self.hub.len.next_multiple_of(LANES);
+        let k = [0, 1, 2].map(|a| self.hub.k[a][..n].as_chunks::<LANES>().0);
+        let steps = [0, 1, 2, 3]
+            .map(|side| [0, 1, 2].map(|a| self.hub.steps[side][a][..n].as_chunks::<LANES>().0));
+        let squares = self.squares.map(L::all);
+        let limit = L::all(self.limit * (1.0 + self.slack()));
+        let slack = L::all(-100.0 * self.slack());
+        // less than any square that is not zero
+        let least = L::all(1e-9);
+        for number in 0..self.members.len() {
+            let p = self.relative(self.members[number] as usize).map(L::all);
+            let mut stuck = 0;
+            for i in 0..k[0].len() {
+                let d = [
+                    L::sub(L::load(&k[0][i]), p[0]),
+                    L::sub(L::load(&k[1][i]), p[1]),
+                    L::sub(L::load(&k[2][i]), p[2]),
+                ];
+                let squared = dot::<L>(
+                    squares,
+                    [L::mul(d[0], d[0]), L::mul(d[1], d[1]), L::mul(d[2], d[2])],
+                );
+                let twice = [L::add(d[0], d[0]), L::add(d[1], d[1]), L::add(d[2], d[2])];
+                let mut lowest = L::all(0.0);
+                for step in &steps {
+                    let s = [
+                        L::load(&step[0][i]),
+                        L::load(&step[1][i]),
+                        L::load(&step[2][i]),
+                    ];
+                    let change = dot::<L>(
+                        squares,
+                        [
+                            L::mul(s[0], L::add(twice[0], s[0])),
+                            L::mul(s[1], L::add(twice[1], s[1])),
+                            L::mul(s[2], L::add(twice[2], s[2])),
+                        ],
+                    );
+                    lowest = L::min(change, lowest);
+                }
+                let in_ball = L::and(L::at_most(squared, limit), L::at_most(least, squared));
+                stuck |= L::bits(L::and(in_ball, L::at_most(slack, lowest)));
+            }
+            self.passed.push(stuck == 0);
+        }
+    }
+
+    /// Coordinates of a place as those of the candidates are.
+    #[inline]
+    #[must_use]
+    pub(crate) fn relative(&self, place: usize) -> [f32; 3] {
+        let k = self.blocks.k_at(place);
+        [
+            (i32::from(k[0]) - self.origin[0]) as f32,
+            (i32::from(k[1]) - self.origin[1]) as f32,
+            (i32::from(k[2]) - self.origin[2]) as f32,
+        ]
+    }
+
+    /// Labels the candidates if that is needed to tell which are connected to the members. `squares` are those of the ball.
+    #[inline(always)]
+    pub(crate) fn connect<L: Level, S: Squares>(&mut self, squares: S) {
+        let mut all = true;
+        for passed in &self.passed {
+            all &= passed;
+        }
+        if all {
+            return;
+        }
+        self.descend::<L>();
+        self.find_core::<L>();
+        self.label();
+        let Some(labels) = self.labels else {
+            return;
+        };
+        self.alive.clear();
+        self.alive.resize(self.members.len() * labels, 1);
+        let limit = self.ball.limit as f64;
+        for number in 0..self.members.len() {
+            if self.passed[number] {
+                continue;
+            }
+            let centre = self.relative(self.members[number] as usize);
+            let centre = [L::all(centre[0]), L::all(centre[1]), L::all(centre[2])];
+            let joined = &mut self.labelling.joined;
+            joined.clear();
+            joined.extend(0..labels as u32);
+            let mut apart = labels;
+            let Edges { labels: pairs, k } = &self.labelling.edges;
+            for i in 0..pairs.len().div_ceil(LANES) {
+                let mut inside = u16::MAX;
+                for k in k {
+                    let square = squares.of::<L>([
+                        L::sub(L::load(sixteen(&k[0], i * LANES)), centre[0]),
+                        L::sub(L::load(sixteen(&k[1], i * LANES)), centre[1]),
+                        L::sub(L::load(sixteen(&k[2], i * LANES)), centre[2]),
+                    ]);
+                    inside &= L::bits(S::at_most::<L>(square, limit));
+                }
+                while inside != 0 {
+                    let [a, b] = pairs[i * LANES + inside.trailing_zeros() as usize];
+                    inside &= inside - 1;
+                    let (a, b) = (find(joined, a), find(joined, b));
+                    if a != b {
+                        joined[a.max(b) as usize] = a.min(b);
+                        apart -= 1;
+                    }
+                }
+                if apart == 1 {
+                    break;
+                }
+            }
+            if apart == 1 {
+                continue;
+            }
+            let own = find(joined, self.labelling.of_members[number]);
+            for label in 0..labels {
+                let alive = find(joined, label as u32) == own;
+                self.alive[number * labels + label] = u32::from(alive);
+            }
+        }
+    }
+
+    /// Which side of each surfel leads nearer to all members.
+    #[inline(always)]
+    fn descend<L: Level>(&mut self) {
+        let sides = &mut self.labelling.sides;
+        sides.resize(self.blocks.len() + LANES, NO_SIDE);
+        let descent = L::all(-self.descent);
+        for run in &self.runs {
+            for from in run.clone().step_by(LANES) {
+                let mut scaled = [L::all(0.0); 3];
+                for a in 0..3 {
+                    let k = L::load_i16(sixteen(&self.blocks.k[a], from));
+                    let d = L::sub(k, L::all(self.middle[a]));
+                    scaled[a] = L::mul(L::all(self.squares[a]), d);
+                }
+                let mut lowest = L::all(0.0);
+                let mut changes = [lowest; 4];
+                for (change, step) in changes.iter_mut().zip(&self.blocks.steps) {
+                    let step = [
+                        L::load_i8(sixteen(&step[0], from)),
+                        L::load_i8(sixteen(&step[1], from)),
+                        L::load_i8(sixteen(&step[2], from)),
+                    ];
+                    *change = dot::<L>(step, scaled);
+                    lowest = L::min(*change, lowest);
+                }
+                let hub = L::bits(L::at_most(descent, lowest));
+                let mut best = [0u16; 4];
+                for side in 0..4 {
+                    best[side] = L::bits(L::at_most(changes[side], lowest));
+                }
+                let to = sixteen_mut(sides, from);
+                for (i, to) in to.iter_mut().enumerate() {
+                    let is = |bits: u16| (bits >> i & 1) as u8;
+                    // the first of the best sides
+                    let side =
+                        (1 - is(best[0])) * (1 + (1 - is(best[1])) * (1 + (1 - is(best[2]))));
+                    *to = side | is(hub) * NO_SIDE;
+                }
+            }
+        }
+    }
+
+    /// Numbers the candidates, and finds those that are in the balls of all members.
+    #[inline(always)]
+    fn find_core<L: Level>(&mut self) {
+        let limit = L::all(self.limit * (1.0 - self.slack()));
+        let work = &mut self.labelling;
+        work.core.clear();
+        work.places.clear();
+        for list in &self.lists {
+            for i in 0..list.padded() / LANES {
+                let mut farthest = L::all(0.0);
+                for (a, k) in [&list.x, &list.y, &list.z].into_iter().enumerate() {
+                    let half = L::all(self.half[a]);
+                    let d = L::sub(L::load(sixteen(k, i * LANES)), half);
+                    let most = L::add(L::max(d, L::sub(L::all(0.0), d)), half);
+                    let square = L::mul(L::all(self.squares[a]), L::mul(most, most));
+                    farthest = L::add(farthest, square);
+                }
+                work.core.push(L::bits(L::at_most(farthest, limit)));
+            }
+            work.places.extend_from_slice(&list.place[..list.len]);
+            work.places.resize(work.core.len() * LANES, NONE);
+        }
+    }
+
+    /// Labels candidates by what connects them within the balls of all members, and takes those that have another
+    /// label than most out of their lists.
+    fn label(&mut self) {
+        let blocks = self.blocks;
+        let origin = self.origin;
+        let work = &mut self.labelling;
+        work.slots.resize(blocks.len(), NONE);
+        for (slot, &place) in work.places.iter().enumerate() {
+            if place != NONE {
+                work.slots[place as usize] = slot as u32;
+            }
+        }
+        work.parent.clear();
+        for (own, &place) in work.places.iter().enumerate() {
+            let mut lower = NONE;
+            if place != NONE {
+                let side = work.sides[place as usize];
+                if side < NO_SIDE {
+                    let across = blocks.across[side as usize][place as usize];
+                    lower = work.slots[across as usize];
+                }
+            }
+            work.parent
+                .push(if lower == NONE { own as u32 } else { lower });
+        }
+        work.root.clear();
+        for own in 0..work.places.len() as u32 {
+            let root = find(&mut work.parent, own);
+            work.root.push(root);
+        }
+        work.pending.clear();
+        let is_core = |core: &[u16], c: usize| core[c / LANES] >> (c % LANES) & 1 == 1;
+        for (own, &place) in work.places.iter().enumerate() {
+            if place == NONE {
+                continue;
+            }
+            for side in &blocks.across {
+                let across = side[place as usize];
+                if across == NONE {
+                    continue;
+                }
+                let other = work.slots[across as usize];
+                if other >= own as u32 || work.root[other as usize] == work.root[own] {
+                    continue;
+                }
+                if is_core(&work.core, own) && is_core(&work.core, other as usize) {
+                    unite(&mut work.parent, work.root[own], work.root[other as usize]);
+                } else {
+                    work.pending.push([own as u32, other]);
+                }
+            }
+        }
+        // Number the labels, at the roots first.
+        work.label.clear();
+        work.label.resize(work.places.len(), NONE);
+        work.counts.clear();
+        for (own, &place) in work.places.iter().enumerate() {
+            if place == NONE {
+                continue;
+            }
+            let root = find(&mut work.parent, work.root[own]) as usize;
+            if work.label[root] == NONE {
+                work.label[root] = work.counts.len() as u32;
+                work.counts.push(0);
+            }
+            let label = work.label[root];
+            work.label[own] = label;
+            work.counts[label as usize] += 1;
+        }
+        work.of_members.clear();
+        for &member in &self.members {
+            let slot = work.slots[member as usize] as usize;
+            work.of_members.push(work.label[slot]);
+        }
+        for &place in &work.places {
+            if place != NONE {
+                work.slots[place as usize] = NONE;
+            }
+        }
+        if work.counts.len() == 1 {
+            return;
+        }
+        let label = &work.label;
+        let labels = |pair: &[u32; 2]| pair.map(|slot| label[slot as usize]);
+        work.pending.retain(|pair| {
+            let [a, b] = labels(pair);
+            a != b
+        });
+        work.edges.labels.clear();
+        work.edges.labels.extend(work.pending.iter().map(labels));
+        self.name_labels();
+        let work = &mut self.labelling;
+        // Edges of labels that nobody reaches have none.
+        for (end, k) in work.edges.k.iter_mut().enumerate() {
+            for (a, list) in k.iter_mut().enumerate() {
+                list.clear();
+                let kept = work.pending.iter().zip(&work.edges.labels);
+                list.extend(
+                    kept.filter(|(_, labels)| labels[0] != NONE)
+                        .map(|(pair, _)| {
+                            let place = work.places[pair[end] as usize] as usize;
+                            (i32::from(blocks.k[a][place]) - origin[a]) as f32
+                        }),
+                );
+                list.resize(list.len().next_multiple_of(LANES), NOWHERE);
+            }
+        }
+        work.edges.labels.retain(|labels| labels[0] != NONE);
+        self.sort_by_label();
+    }
+
+    /// Numbers the labels that members can reach, that of the most candidates first.
+    fn name_labels(&mut self) {
+        let work = &mut self.labelling;
+        let labels = work.counts.len();
+        work.joined.clear();
+        work.joined.extend(0..labels as u32);
+        for &[a, b] in &work.edges.labels {
+            unite(&mut work.joined, a, b);
+        }
+        work.renamed.clear();
+        work.renamed.resize(labels, NONE);
+        for &label in &work.of_members {
+            let root = find(&mut work.joined, label);
+            work.renamed[root as usize] = 0;
+        }
+        for label in 0..labels {
+            let root = find(&mut work.joined, label as u32) as usize;
+            work.renamed[label] = work.renamed[root];
+        }
+        let reached = |label: usize| work.renamed[label] == 0;
+        let main = (0..labels)
+            .filter(|&l| reached(l))
+            .max_by_key(|&l| work.counts[l]);
+        let mut next = 0;
+        for label in 0..labels {
+            if Some(label) != main && work.renamed[label] == 0 {
+                next += 1;
+                work.renamed[label] = next;
+            }
+        }
+        for label in &mut work.of_members {
+            *label = work.renamed[*label as usize];
+        }
+        let renamed = &work.renamed;
+        for labels in &mut work.edges.labels {
+            *labels = labels.map(|l| renamed[l as usize]);
+        }
+        self.labels = Some(next as usize + 1);
+    }
+
+    /// Leaves the candidates of the first label in their lists.
+    fn sort_by_label(&mut self) {
+        let work = &self.labelling;
+        let mut first = 0;
+        for (list, labelled) in self.lists.iter_mut().zip(&mut self.labelled) {
+            let mut kept = 0;
+            let end = first + list.padded();
+            for at in 0..list.len {
+                let label = work.renamed[work.label[first + at] as usize];
+                let (k, place, tag) = (list.k(at), list.place[at], list.tag[at]);
+                match label {
+                    0 => {
+                        list.set(kept, k, place, tag);
+                        kept += 1;
+                    }
+                    NONE => self.apart.push_labelled(k, place, tag, 0),
+                    _ => labelled.push_labelled(k, place, tag, label),
+                }
+            }
+            first = end;
+            list.len = kept;
+            list.pad();
+            labelled.pad();
+        }
+        self.apart.pad();
+    }
+
+    /// The members of the group, as places.
+    #[must_use]
+    pub(crate) fn members(&self) -> &[u32] {
+        &self.members
+    }
+
+    /// Candidates that count alike for a member: see [`Connected::main`].
+    #[must_use]
+    pub(crate) fn lists(&self) -> &[Candidates; LISTS] {
+        &self.lists
+    }
+
+    /// Candidates that count by their label: see [`Connected::labels`].
+    #[must_use]
+    pub(crate) fn labelled(&self) -> &[Candidates; LISTS] {
+        &self.labelled
+    }
+
+    /// Candidates that are connected to no member.
+    #[must_use]
+    pub(crate) fn apart(&self) -> &Candidates {
+        &self.apart
+    }
+
+    /// Which candidates are connected to a member, if they are in its ball.
+    #[must_use]
+    pub(crate) fn connected(&self, member: usize) -> Connected<'_> {
+        match self.labels {
+            None => Connected {
+                main: true,
+                labels: &[],
+            },
+            Some(n) => {
+                let labels = &self.alive[member * n..][..n];
+                Connected {
+                    main: labels[0] == 1,
+                    labels,
+                }
+            }
+        }
+    }
+
+    /// How C(p) of a member ends, given how many surfels it has and whether one of them has a side on the
+    /// border of an open image: it has an end in the ball unless it is a whole component.
+    #[must_use]
+    pub(crate) fn rim(&self, member: usize, count: u32, open: bool) -> Rim {
+        let component = self.blocks.component[self.members[member] as usize];
+        let component = &self.blocks.components[component as usize];
+        Rim {
+            cut_by_ball: count != component.size || component.goes_on,
+            open,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;
