@@ -70,6 +70,147 @@ pub fn eigen(m: &Symmetric) -> Eigen {
     }
 }
 
+/// An eigenvector found by [`eigenvector_near`].
+#[derive(Clone, Copy, Debug)]
+pub struct Near {
+    /// Of unit length, sign arbitrary.
+    pub vector: DVec3,
+    /// Whether it belongs to the smallest eigenvalue.
+    pub is_smallest: bool,
+}
+
+/// Steps after which [`eigenvector_near`] gives up; it takes 3 from 20 degrees off.
+const MAX_STEPS: usize = 5;
+
+/// What remains of an eigenvector's equation, relative to the trace, when it is found. Rounding alone
+/// leaves a few 1e-16.
+const RESIDUAL: f64 = 1e-15;
+
+/// The product of the distances of an eigenvalue from the two others, relative to the squared trace, from
+/// which on its eigenvector is well determined: both distances are then 1e-3 of the trace or more, and
+/// [`RESIDUAL`] is an angle of 1e-12 at most.
+const WELL_APART: f64 = 1e-3;
+
+/// An eigenvector of a matrix with no negative eigenvalue, found from a nonzero vector near it: most often the
+/// nearest one. `None` where the eigenvalue is not well apart from the others or no eigenvector is
+/// found soon: then take [`eigen`].
+///
+/// Rayleigh quotient iteration (each step cubes the error) with the adjugate of m - l 1 instead of its inverse, which
+/// it is but for a factor, and which stays bounded as l comes near an eigenvalue.
+#[must_use]
+pub fn eigenvector_near(m: &Symmetric, v: DVec3) -> Option<Near> {
+    let trace = m.xx + m.yy + m.zz;
+    if trace <= 0.0 {
+        return None;
+    }
+    let unit = 1.0 / trace;
+    let m = Symmetric::from_terms(m.terms().map(|term| term * unit));
+    let Symmetric { xy, xz, yz, .. } = m;
+    let mut v = v / v.length();
+    for _ in 0..=MAX_STEPS {
+        let image = m.times(v);
+        let value = v.dot(image);
+        let (a, b, c) = (m.xx - value, m.yy - value, m.zz - value);
+        let (aa, bb, cc) = (b * c - yz * yz, a * c - xz * xz, a * b - xy * xy);
+        if (image - value * v).length_squared() <= RESIDUAL * RESIDUAL {
+            // The trace of the adjugate is the product of the distances to the other eigenvalues,
+            // and the three eigenvalues add to 1.
+            let apart = aa + bb + cc;
+            return (apart.abs() >= WELL_APART).then_some(Near {
+                vector: v,
+                is_smallest: apart > 0.0 && value < 1.0 / 3.0,
+            });
+        }
+        let adjugate = Symmetric {
+            xx: aa,
+            yy: bb,
+            zz: cc,
+            xy: xz * yz - xy * c,
+            xz: xy * yz - xz * b,
+            yz: xy * xz - a * yz,
+        };
+        let next = adjugate.times(v);
+        v = next / next.length();
+    }
+    None
+}
+
+/// The largest term a matrix may have, relative to the penalty, for [`beside_penalty`]: its steps
+/// gain a factor of the square of this, and two of them shall reach the last bits.
+const SMALL_BESIDE_PENALTY: f64 = 1e-3;
+
+/// The two smaller by size of the eigenvalues of m - p u u^T, ascending, and their unit eigenvectors, for a unit
+/// vector u and a penalty p much larger than m; `None` if it is not.
+///
+/// In a basis t of the plane across u, with the terms of m along it and along u,
+///
+/// ```text
+///    m = | A    g |     (A + g g^T / (p + l - c)) x = l x,     d = t x + u g.x / (p + l - c)
+///        | g^T  c |
+/// ```
+///
+/// where l on the left hardly matters: two steps from l of A find it.
+#[must_use]
+pub fn beside_penalty(m: &Symmetric, u: DVec3, p: f64) -> Option<([f64; 2], [DVec3; 2])> {
+    if !m
+        .terms()
+        .iter()
+        .all(|term| term.abs() <= SMALL_BESIDE_PENALTY * p)
+    {
+        return None;
+    }
+    let [t1, t2] = across(u);
+    let [m1, m2, mu] = [t1, t2, u].map(|v| m.times(v));
+    let (a, b, d) = (t1.dot(m1), t1.dot(m2), t2.dot(m2));
+    let (g1, g2, c) = (t1.dot(mu), t2.dot(mu), u.dot(mu));
+    let mut values = [0.0; 2];
+    let mut vectors = [DVec3::ZERO; 2];
+    for (i, side) in [-1.0, 1.0].into_iter().enumerate() {
+        // Half the trace, half the difference, and half the distance of the eigenvalues of
+        // A + g g^T / far, without and then with the last term.
+        let spread = |a: f64, b: f64, d: f64| {
+            let half = 0.5 * (a - d);
+            (0.5 * (a + d), half, (half * half + b * b).sqrt())
+        };
+        let (middle, mut half, mut root) = spread(a, b, d);
+        let mut value = middle + side * root;
+        let mut across = b;
+        for _ in 0..2 {
+            let far = 1.0 / (p + value - c);
+            let middle;
+            across = b + g1 * g2 * far;
+            (middle, half, root) = spread(a + g1 * g1 * far, across, d + g2 * g2 * far);
+            value = middle + side * root;
+        }
+        // Of the larger eigenvalue; without cancellation.
+        let (x, y) = if root == 0.0 {
+            (1.0, 0.0)
+        } else if half >= 0.0 {
+            (half + root, across)
+        } else {
+            (across, root - half)
+        };
+        let (x, y) = if side > 0.0 { (x, y) } else { (-y, x) };
+        let along = (g1 * x + g2 * y) / (p + value - c);
+        let vector = t1 * x + t2 * y + u * along;
+        values[i] = value;
+        vectors[i] = vector / vector.length();
+    }
+    Some((values, vectors))
+}
+
+/// Two unit vectors across a unit vector and each other. Duff and others, *Building an orthonormal
+/// basis, revisited* (2017).
+fn across(u: DVec3) -> [DVec3; 2] {
+    let sign = 1f64.copysign(u.z);
+    let a = -1.0 / (sign + u.z);
+    let b = u.x * u.y * a;
+    [
+        DVec3::new(1.0 + sign * u.x * u.x * a, sign * b, -sign * u.x),
+        DVec3::new(b, sign + u.y * u.y * a, -u.y),
+    ]
+}
+
 /// A symmetric 3x3 matrix by its six terms.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[allow(missing_docs)]
@@ -120,6 +261,16 @@ impl Symmetric {
     pub fn zip(&self, other: &Self, f: impl Fn(f64, f64) -> f64) -> Self {
         let (a, b) = (self.terms(), other.terms());
         Self::from_terms([0, 1, 2, 3, 4, 5].map(|i| f(a[i], b[i])))
+    }
+
+    /// This matrix times a vector.
+    #[must_use]
+    pub fn times(&self, v: DVec3) -> DVec3 {
+        DVec3::new(
+            self.xx * v.x + self.xy * v.y + self.xz * v.z,
+            self.xy * v.x + self.yy * v.y + self.yz * v.z,
+            self.xz * v.x + self.yz * v.y + self.zz * v.z,
+        )
     }
 
     /// As a full matrix.

@@ -23,6 +23,7 @@ mod border;
 pub mod given;
 pub mod gradient;
 pub mod integral;
+mod moments;
 pub mod refine;
 pub mod trivial;
 pub mod vcm;
