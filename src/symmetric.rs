@@ -139,7 +139,7 @@ pub fn eigenvector_near(m: &Symmetric, v: DVec3) -> Option<Near> {
 /// gain a factor of the square of this, and two of them shall reach the last bits.
 const SMALL_BESIDE_PENALTY: f64 = 1e-3;
 
-/// The two smaller by size of the eigenvalues of m - p u u^T, ascending, and their unit eigenvectors, for a unit
+/// The eigenvalues of m - p u u^T other than the one near -p, ascending, and their unit eigenvectors, for a unit
 /// vector u and a penalty p much larger than m; `None` if it is not.
 ///
 /// In a basis t of the plane across u, with the terms of m along it and along u,
@@ -286,15 +286,119 @@ impl Symmetric {
 mod tests {
     use super::*;
 
-    #[test]
-    fn eigenvectors_are_orthonormal_and_satisfy_their_equation() {
+    /// Numbers from -1/2 to 1/2.
+    fn numbers() -> impl FnMut() -> f64 {
         let mut seed = 1u64;
-        let mut random = || {
+        move || {
             seed = seed
                 .wrapping_mul(6364136223846793005)
                 .wrapping_add(1442695040888963407);
             (seed >> 11) as f64 / (1u64 << 53) as f64 - 0.5
+        }
+    }
+
+    /// The matrix of some eigenvalues in a random frame.
+    fn with_values(values: [f64; 3], mut random: impl FnMut() -> f64) -> Symmetric {
+        let a = DVec3::new(random(), random(), random()).normalize();
+        let [b, c] = across(a);
+        let sum = |m: Symmetric, n: Symmetric| m.zip(&n, |m, n| m + n);
+        [a, b, c]
+            .into_iter()
+            .zip(values)
+            .map(|(v, value)| Symmetric::outer(v, value * v))
+            .fold(Symmetric::default(), sum)
+    }
+
+    #[test]
+    fn a_near_eigenvector_is_that_of_jacobi() {
+        let mut random = numbers();
+        let (mut found, mut tried) = (0, 0);
+        for n in 0..3000 {
+            let scale = [1.0, 1e9, 1e-6][n % 3];
+            let values =
+                [0.1 + 0.1 * random(), 0.5 + 0.2 * random(), 0.9].map(|value: f64| value * scale);
+            let m = with_values(values, &mut random);
+            let e = eigen(&m);
+            for i in 0..3 {
+                let off = DVec3::new(random(), random(), random());
+                let Some(near) = eigenvector_near(&m, 17.0 * e.vectors[i] + 6.0 * off) else {
+                    continue;
+                };
+                let which = (0..3)
+                    .find(|&i| 1.0 - near.vector.dot(e.vectors[i]).abs() < 1e-14)
+                    .expect("one of Jacobi's");
+                assert!(near.vector.cross(e.vectors[which]).length() < 1e-12);
+                assert_eq!(near.is_smallest, which == 0);
+                tried += 1;
+                found += usize::from(which == i);
+            }
+        }
+        assert!(tried > 8900 && found > 8900, "{found} of {tried}");
+    }
+
+    #[test]
+    fn no_near_eigenvector_where_two_eigenvalues_nearly_agree() {
+        let mut random = numbers();
+        for gap in [0.0, 1e-9, 1e-4] {
+            for _ in 0..100 {
+                let m = with_values([0.2, 0.2 + gap, 0.9], &mut random);
+                let v = eigen(&m).vectors[0];
+                assert!(eigenvector_near(&m, v).is_none());
+            }
+        }
+        assert!(eigenvector_near(&Symmetric::default(), DVec3::X).is_none());
+    }
+
+    #[test]
+    fn eigenvectors_beside_a_penalty_are_those_of_jacobi() {
+        let mut random = numbers();
+        for n in 0..3000 {
+            let size = [1.0, 1e-3, 1e-9][n % 3];
+            let m = Symmetric::from_terms([0; 6].map(|_| size * random()));
+            let u = DVec3::new(random(), random(), random()).normalize();
+            let (values, vectors) = beside_penalty(&m, u, 1000.0).unwrap();
+            let penalised = m.zip(&Symmetric::outer(u, u), |m, uu| m - 1000.0 * uu);
+            let e = eigen(&penalised);
+            assert!(values[0] <= values[1]);
+            for i in 0..2 {
+                assert!((values[i] - e.values[i + 1]).abs() < 2e-12);
+                let residual = penalised.times(vectors[i]) - values[i] * vectors[i];
+                assert!(residual.length() < 1e-12, "{residual}");
+                // Across u the penalty has no part, so that nothing is lost against it.
+                let residual = u.cross(m.times(vectors[i]) - values[i] * vectors[i]);
+                assert!(residual.length() < 1e-14 * size, "{residual}");
+                assert!((vectors[i].length() - 1.0).abs() < 1e-14);
+            }
+            assert!(vectors[0].dot(vectors[1]).abs() < 1e-11);
+        }
+    }
+
+    #[test]
+    fn beside_a_penalty_umbilics_and_planes_have_directions() {
+        for u in [DVec3::X, -DVec3::Y, DVec3::Z, -DVec3::Z] {
+            for value in [0.0, 0.1] {
+                let m = Symmetric {
+                    xx: value,
+                    yy: value,
+                    zz: value,
+                    ..Default::default()
+                };
+                let (values, [d1, d2]) = beside_penalty(&m, u, 1000.0).unwrap();
+                assert_eq!(values, [value; 2]);
+                assert_eq!([d1.length(), d2.length(), d1.dot(d2)], [1.0, 1.0, 0.0]);
+                assert_eq!([d1.dot(u), d2.dot(u)], [0.0; 2]);
+            }
+        }
+        let large = Symmetric {
+            xx: 2.0,
+            ..Default::default()
         };
+        assert!(beside_penalty(&large, DVec3::Z, 1000.0).is_none());
+    }
+
+    #[test]
+    fn eigenvectors_are_orthonormal_and_satisfy_their_equation() {
+        let mut random = numbers();
         for n in 0..2000 {
             let scale = if n % 3 == 0 { 1e6 } else { 1.0 };
             let m = Symmetric::from_terms([0; 6].map(|_| scale * random()));

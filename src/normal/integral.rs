@@ -50,6 +50,8 @@ const SURELY_NEAREST: f64 = 0.51;
 pub struct IntegralKernel {
     moments: MomentKernel,
     edges: [f64; 3],
+    /// Whether 64 bits hold the numerators of a covariance.
+    narrow: bool,
     orientation: Orientation,
 }
 
@@ -82,7 +84,11 @@ impl IntegralKernel {
     /// Prepares for a ball of voxels of the given edges (in voxel units).
     #[must_use]
     pub fn new(ball: Ball, edges: [f64; 3], orientation: Orientation) -> Self {
+        // Sums of coordinates are at most the count times the reach, and squares likewise.
+        let [x, y, z] = ball.reach().map(f64::from);
+        let most = (2.0 * x + 1.0) * (2.0 * y + 1.0) * (2.0 * z + 1.0) * x.max(y).max(z);
         Self {
+            narrow: most * most < 2f64.powi(62),
             moments: MomentKernel::new(ball),
             edges,
             orientation,
@@ -102,12 +108,12 @@ impl IntegralKernel {
         Symmetric::from_terms([0, 1, 2, 3, 4, 5].map(|t| {
             let (i, j) = PAIRS[t];
             // Wide: for flat voxels a ball can hold many of them along an axis.
-            let exact = i128::from(m.count) * i128::from(m.second[t])
-                - i128::from(m.first[i]) * i128::from(m.first[j]);
-            // Rounded once either way; the narrow integer is the quick one.
-            let numerator = match i64::try_from(exact) {
-                Ok(narrow) => narrow as f64,
-                Err(_) => exact as f64,
+            let numerator = if self.narrow {
+                (m.count * m.second[t] - m.first[i] * m.first[j]) as f64
+            } else {
+                let wide = i128::from(m.count) * i128::from(m.second[t])
+                    - i128::from(m.first[i]) * i128::from(m.first[j]);
+                wide as f64
             };
             self.edges[i] * self.edges[j] * (numerator / m.count as f64)
         }))
