@@ -1,6 +1,13 @@
 //! Eigenvectors of symmetric 3x3 matrices, with the same bits on every machine.
 //!
-//! Cyclic Jacobi rotations: only + - * / and square roots, which IEEE 754 rounds exactly.
+//! | function | what it gives | how |
+//! |---|---|---|
+//! | [`eigen`] | all of any matrix | cyclic Jacobi rotations |
+//! | [`eigenvector_near`] | one eigenvector, if it is well determined | Rayleigh quotient iteration |
+//! | [`beside_penalty`] | the two eigenvectors across a direction that is penalised | a 2x2 problem |
+//!
+//! The last two take a fraction of the time and say where they do not hold; then the first is for them.
+//! Only + - * / and square roots, which IEEE 754 rounds exactly.
 
 use glam::{DMat3, DVec3};
 

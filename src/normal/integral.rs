@@ -105,18 +105,19 @@ impl IntegralKernel {
             return Symmetric::default();
         }
         const PAIRS: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
-        Symmetric::from_terms([0, 1, 2, 3, 4, 5].map(|t| {
-            let (i, j) = PAIRS[t];
-            // Wide: for flat voxels a ball can hold many of them along an axis.
+        let mut terms = [0.0; 6];
+        for (t, (i, j)) in PAIRS.into_iter().enumerate() {
             let numerator = if self.narrow {
                 (m.count * m.second[t] - m.first[i] * m.first[j]) as f64
             } else {
+                // For flat voxels a ball can hold many of them along an axis.
                 let wide = i128::from(m.count) * i128::from(m.second[t])
                     - i128::from(m.first[i]) * i128::from(m.first[j]);
                 wide as f64
             };
-            self.edges[i] * self.edges[j] * (numerator / m.count as f64)
-        }))
+            terms[t] = self.edges[i] * self.edges[j] * (numerator / m.count as f64);
+        }
+        Symmetric::from_terms(terms)
     }
 
     /// The moments about the inner and outer voxels of the surfels of `core`.
