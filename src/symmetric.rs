@@ -1,6 +1,13 @@
 //! Eigenvectors of symmetric 3x3 matrices, with the same bits on every machine.
 //!
-//! Cyclic Jacobi rotations: only + - * / and square roots, which IEEE 754 rounds exactly.
+//! | function | what it gives | how |
+//! |---|---|---|
+//! | [`eigen`] | all of any matrix | cyclic Jacobi rotations |
+//! | [`eigenvector_near`] | one eigenvector, if it is well determined | Rayleigh quotient iteration |
+//! | [`beside_penalty`] | the two eigenvectors across a direction that is penalised | a 2x2 problem |
+//!
+//! The last two take a fraction of the time and say where they do not hold; then the first is for them.
+//! Only + - * / and square roots, which IEEE 754 rounds exactly.
 
 use glam::{DMat3, DVec3};
 
@@ -70,6 +77,147 @@ pub fn eigen(m: &Symmetric) -> Eigen {
     }
 }
 
+/// An eigenvector found by [`eigenvector_near`].
+#[derive(Clone, Copy, Debug)]
+pub struct Near {
+    /// Of unit length, sign arbitrary.
+    pub vector: DVec3,
+    /// Whether it belongs to the smallest eigenvalue.
+    pub is_smallest: bool,
+}
+
+/// Steps after which [`eigenvector_near`] gives up; it takes 3 from 20 degrees off.
+const MAX_STEPS: usize = 5;
+
+/// What remains of an eigenvector's equation, relative to the trace, when it is found. Rounding alone
+/// leaves a few 1e-16.
+const RESIDUAL: f64 = 1e-15;
+
+/// The product of the distances of an eigenvalue from the two others, relative to the squared trace, from
+/// which on its eigenvector is well determined: both distances are then 1e-3 of the trace or more, and
+/// [`RESIDUAL`] is an angle of 1e-12 at most.
+const WELL_APART: f64 = 1e-3;
+
+/// An eigenvector of a matrix with no negative eigenvalue, found from a nonzero vector near it: most often the
+/// nearest one. `None` where the eigenvalue is not well apart from the others or no eigenvector is
+/// found soon: then take [`eigen`].
+///
+/// Rayleigh quotient iteration (each step cubes the error) with the adjugate of m - l 1 instead of its inverse, which
+/// it is but for a factor, and which stays bounded as l comes near an eigenvalue.
+#[must_use]
+pub fn eigenvector_near(m: &Symmetric, v: DVec3) -> Option<Near> {
+    let trace = m.xx + m.yy + m.zz;
+    if trace <= 0.0 {
+        return None;
+    }
+    let unit = 1.0 / trace;
+    let m = Symmetric::from_terms(m.terms().map(|term| term * unit));
+    let Symmetric { xy, xz, yz, .. } = m;
+    let mut v = v / v.length();
+    for _ in 0..=MAX_STEPS {
+        let image = m.times(v);
+        let value = v.dot(image);
+        let (a, b, c) = (m.xx - value, m.yy - value, m.zz - value);
+        let (aa, bb, cc) = (b * c - yz * yz, a * c - xz * xz, a * b - xy * xy);
+        if (image - value * v).length_squared() <= RESIDUAL * RESIDUAL {
+            // The trace of the adjugate is the product of the distances to the other eigenvalues,
+            // and the three eigenvalues add to 1.
+            let apart = aa + bb + cc;
+            return (apart.abs() >= WELL_APART).then_some(Near {
+                vector: v,
+                is_smallest: apart > 0.0 && value < 1.0 / 3.0,
+            });
+        }
+        let adjugate = Symmetric {
+            xx: aa,
+            yy: bb,
+            zz: cc,
+            xy: xz * yz - xy * c,
+            xz: xy * yz - xz * b,
+            yz: xy * xz - a * yz,
+        };
+        let next = adjugate.times(v);
+        v = next / next.length();
+    }
+    None
+}
+
+/// The largest term a matrix may have, relative to the penalty, for [`beside_penalty`]: its steps
+/// gain a factor of the square of this, and two of them shall reach the last bits.
+const SMALL_BESIDE_PENALTY: f64 = 1e-3;
+
+/// The eigenvalues of m - p u u^T other than the one near -p, ascending, and their unit eigenvectors, for a unit
+/// vector u and a penalty p much larger than m; `None` if it is not.
+///
+/// In a basis t of the plane across u, with the terms of m along it and along u,
+///
+/// ```text
+///    m = | A    g |     (A + g g^T / (p + l - c)) x = l x,     d = t x + u g.x / (p + l - c)
+///        | g^T  c |
+/// ```
+///
+/// where l on the left hardly matters: two steps from l of A find it.
+#[must_use]
+pub fn beside_penalty(m: &Symmetric, u: DVec3, p: f64) -> Option<([f64; 2], [DVec3; 2])> {
+    if !m
+        .terms()
+        .iter()
+        .all(|term| term.abs() <= SMALL_BESIDE_PENALTY * p)
+    {
+        return None;
+    }
+    let [t1, t2] = across(u);
+    let [m1, m2, mu] = [t1, t2, u].map(|v| m.times(v));
+    let (a, b, d) = (t1.dot(m1), t1.dot(m2), t2.dot(m2));
+    let (g1, g2, c) = (t1.dot(mu), t2.dot(mu), u.dot(mu));
+    let mut values = [0.0; 2];
+    let mut vectors = [DVec3::ZERO; 2];
+    for (i, side) in [-1.0, 1.0].into_iter().enumerate() {
+        // Half the trace, half the difference, and half the distance of the eigenvalues of
+        // A + g g^T / far, without and then with the last term.
+        let spread = |a: f64, b: f64, d: f64| {
+            let half = 0.5 * (a - d);
+            (0.5 * (a + d), half, (half * half + b * b).sqrt())
+        };
+        let (middle, mut half, mut root) = spread(a, b, d);
+        let mut value = middle + side * root;
+        let mut across = b;
+        for _ in 0..2 {
+            let far = 1.0 / (p + value - c);
+            let middle;
+            across = b + g1 * g2 * far;
+            (middle, half, root) = spread(a + g1 * g1 * far, across, d + g2 * g2 * far);
+            value = middle + side * root;
+        }
+        // Of the larger eigenvalue; without cancellation.
+        let (x, y) = if root == 0.0 {
+            (1.0, 0.0)
+        } else if half >= 0.0 {
+            (half + root, across)
+        } else {
+            (across, root - half)
+        };
+        let (x, y) = if side > 0.0 { (x, y) } else { (-y, x) };
+        let along = (g1 * x + g2 * y) / (p + value - c);
+        let vector = t1 * x + t2 * y + u * along;
+        values[i] = value;
+        vectors[i] = vector / vector.length();
+    }
+    Some((values, vectors))
+}
+
+/// Two unit vectors across a unit vector and each other. Duff and others, *Building an orthonormal
+/// basis, revisited* (2017).
+fn across(u: DVec3) -> [DVec3; 2] {
+    let sign = 1f64.copysign(u.z);
+    let a = -1.0 / (sign + u.z);
+    let b = u.x * u.y * a;
+    [
+        DVec3::new(1.0 + sign * u.x * u.x * a, sign * b, -sign * u.x),
+        DVec3::new(b, sign + u.y * u.y * a, -u.y),
+    ]
+}
+
 /// A symmetric 3x3 matrix by its six terms.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[allow(missing_docs)]
@@ -122,6 +270,16 @@ impl Symmetric {
         Self::from_terms([0, 1, 2, 3, 4, 5].map(|i| f(a[i], b[i])))
     }
 
+    /// This matrix times a vector.
+    #[must_use]
+    pub fn times(&self, v: DVec3) -> DVec3 {
+        DVec3::new(
+            self.xx * v.x + self.xy * v.y + self.xz * v.z,
+            self.xy * v.x + self.yy * v.y + self.yz * v.z,
+            self.xz * v.x + self.yz * v.y + self.zz * v.z,
+        )
+    }
+
     /// As a full matrix.
     #[must_use]
     pub fn to_mat3(&self) -> DMat3 {
@@ -135,15 +293,119 @@ impl Symmetric {
 mod tests {
     use super::*;
 
-    #[test]
-    fn eigenvectors_are_orthonormal_and_satisfy_their_equation() {
+    /// Numbers from -1/2 to 1/2.
+    fn numbers() -> impl FnMut() -> f64 {
         let mut seed = 1u64;
-        let mut random = || {
+        move || {
             seed = seed
                 .wrapping_mul(6364136223846793005)
                 .wrapping_add(1442695040888963407);
             (seed >> 11) as f64 / (1u64 << 53) as f64 - 0.5
+        }
+    }
+
+    /// The matrix of some eigenvalues in a random frame.
+    fn with_values(values: [f64; 3], mut random: impl FnMut() -> f64) -> Symmetric {
+        let a = DVec3::new(random(), random(), random()).normalize();
+        let [b, c] = across(a);
+        let sum = |m: Symmetric, n: Symmetric| m.zip(&n, |m, n| m + n);
+        [a, b, c]
+            .into_iter()
+            .zip(values)
+            .map(|(v, value)| Symmetric::outer(v, value * v))
+            .fold(Symmetric::default(), sum)
+    }
+
+    #[test]
+    fn a_near_eigenvector_is_that_of_jacobi() {
+        let mut random = numbers();
+        let (mut found, mut tried) = (0, 0);
+        for n in 0..3000 {
+            let scale = [1.0, 1e9, 1e-6][n % 3];
+            let values =
+                [0.1 + 0.1 * random(), 0.5 + 0.2 * random(), 0.9].map(|value: f64| value * scale);
+            let m = with_values(values, &mut random);
+            let e = eigen(&m);
+            for i in 0..3 {
+                let off = DVec3::new(random(), random(), random());
+                let Some(near) = eigenvector_near(&m, 17.0 * e.vectors[i] + 6.0 * off) else {
+                    continue;
+                };
+                let which = (0..3)
+                    .find(|&i| 1.0 - near.vector.dot(e.vectors[i]).abs() < 1e-14)
+                    .expect("one of Jacobi's");
+                assert!(near.vector.cross(e.vectors[which]).length() < 1e-12);
+                assert_eq!(near.is_smallest, which == 0);
+                tried += 1;
+                found += usize::from(which == i);
+            }
+        }
+        assert!(tried > 8900 && found > 8900, "{found} of {tried}");
+    }
+
+    #[test]
+    fn no_near_eigenvector_where_two_eigenvalues_nearly_agree() {
+        let mut random = numbers();
+        for gap in [0.0, 1e-9, 1e-4] {
+            for _ in 0..100 {
+                let m = with_values([0.2, 0.2 + gap, 0.9], &mut random);
+                let v = eigen(&m).vectors[0];
+                assert!(eigenvector_near(&m, v).is_none());
+            }
+        }
+        assert!(eigenvector_near(&Symmetric::default(), DVec3::X).is_none());
+    }
+
+    #[test]
+    fn eigenvectors_beside_a_penalty_are_those_of_jacobi() {
+        let mut random = numbers();
+        for n in 0..3000 {
+            let size = [1.0, 1e-3, 1e-9][n % 3];
+            let m = Symmetric::from_terms([0; 6].map(|_| size * random()));
+            let u = DVec3::new(random(), random(), random()).normalize();
+            let (values, vectors) = beside_penalty(&m, u, 1000.0).unwrap();
+            let penalised = m.zip(&Symmetric::outer(u, u), |m, uu| m - 1000.0 * uu);
+            let e = eigen(&penalised);
+            assert!(values[0] <= values[1]);
+            for i in 0..2 {
+                assert!((values[i] - e.values[i + 1]).abs() < 2e-12);
+                let residual = penalised.times(vectors[i]) - values[i] * vectors[i];
+                assert!(residual.length() < 1e-12, "{residual}");
+                // Across u the penalty has no part, so that nothing is lost against it.
+                let residual = u.cross(m.times(vectors[i]) - values[i] * vectors[i]);
+                assert!(residual.length() < 1e-14 * size, "{residual}");
+                assert!((vectors[i].length() - 1.0).abs() < 1e-14);
+            }
+            assert!(vectors[0].dot(vectors[1]).abs() < 1e-11);
+        }
+    }
+
+    #[test]
+    fn beside_a_penalty_umbilics_and_planes_have_directions() {
+        for u in [DVec3::X, -DVec3::Y, DVec3::Z, -DVec3::Z] {
+            for value in [0.0, 0.1] {
+                let m = Symmetric {
+                    xx: value,
+                    yy: value,
+                    zz: value,
+                    ..Default::default()
+                };
+                let (values, [d1, d2]) = beside_penalty(&m, u, 1000.0).unwrap();
+                assert_eq!(values, [value; 2]);
+                assert_eq!([d1.length(), d2.length(), d1.dot(d2)], [1.0, 1.0, 0.0]);
+                assert_eq!([d1.dot(u), d2.dot(u)], [0.0; 2]);
+            }
+        }
+        let large = Symmetric {
+            xx: 2.0,
+            ..Default::default()
         };
+        assert!(beside_penalty(&large, DVec3::Z, 1000.0).is_none());
+    }
+
+    #[test]
+    fn eigenvectors_are_orthonormal_and_satisfy_their_equation() {
+        let mut random = numbers();
         for n in 0..2000 {
             let scale = if n % 3 == 0 { 1e6 } else { 1.0 };
             let m = Symmetric::from_terms([0; 6].map(|_| scale * random()));

@@ -23,8 +23,8 @@
 use std::f64::consts::PI;
 
 use crate::lattice::{Lattice, LatticeError};
+use crate::normal::Orientation;
 use crate::normal::integral::IntegralKernel;
-use crate::normal::{Orientation, touches_border};
 use crate::surfel::{CellBox, Surfels};
 use crate::symmetric::eigen;
 use crate::volume::PlaneWindow;
@@ -78,7 +78,7 @@ impl InvariantKernel {
         if surfels.list.is_empty() {
             return Vec::new();
         }
-        let beside = self.solid.beside(window, core, surfels);
+        let beside = self.solid.beside(window, lattice, core, surfels);
         let r = self.radius();
         let unit = lattice.voxel_unit_world();
         let factor = 6.0 / (PI * r.powi(6));
@@ -100,11 +100,7 @@ impl InvariantKernel {
                 d1: e.vectors[2],
                 d2: e.vectors[1],
             };
-            let surfel = surfels.oriented(i);
-            let cut = !lattice.closed
-                && (touches_border(surfel, lattice)
-                    || self.solid.is_cut(&beside.bits, surfel, lattice));
-            (curvature, cut)
+            (curvature, beside.is_cut(surfels.oriented(i), lattice))
         });
         curvatures.collect()
     }

@@ -23,7 +23,7 @@ pub mod uncertainty;
 use glam::DVec3;
 
 use crate::measure::ball::BallSums;
-use crate::symmetric::{Symmetric, eigen};
+use crate::symmetric::{Symmetric, beside_penalty, eigen};
 
 /// Penalty on the normal direction. Much smaller, and the normal part of the tensor mixes with
 /// the principal directions; much larger, and rounding of the eigenvalues shows. DGtal's value.
@@ -90,25 +90,33 @@ impl Curvature {
             return None;
         }
         let per_length = 1.0 / unit_world;
-        let shape = tensor.zip(&Symmetric::outer(u, u), |m, uu| {
-            m / mu0 - NORMAL_PENALTY * uu
-        });
-        let principal = eigen(&shape);
-        // Without the direction of the penalty; where curvatures are beyond it, they stay.
-        let far = |i: usize| (principal.values[i] + NORMAL_PENALTY).abs();
-        let normal = (0..3).fold(0, |best, i| if far(i) < far(best) { i } else { best });
-        let [first, second] = [[1, 2], [0, 2], [0, 1]][normal];
+        let shape = Symmetric::from_terms(tensor.terms().map(|term| term / mu0));
+        let ([k1, k2], [d1, d2]) = beside_penalty(&shape, u, NORMAL_PENALTY)
+            .unwrap_or_else(|| principal_by_jacobi(&shape, u));
         let mu1 = tensor.xx + tensor.yy + tensor.zz;
         Some(Self {
             mean: mu1 / (2.0 * mu0) * per_length,
             gaussian: mu2 / mu0 * per_length * per_length,
-            k1: principal.values[first] * per_length,
-            k2: principal.values[second] * per_length,
-            d1: principal.vectors[first],
-            d2: principal.vectors[second],
+            k1: k1 * per_length,
+            k2: k2 * per_length,
+            d1,
+            d2,
             quality: omega / mu0 * per_length,
         })
     }
+}
+
+/// Principal curvatures and directions where curvatures are not small against the penalty.
+fn principal_by_jacobi(shape: &Symmetric, u: DVec3) -> ([f64; 2], [DVec3; 2]) {
+    let principal = eigen(&shape.zip(&Symmetric::outer(u, u), |m, uu| m - NORMAL_PENALTY * uu));
+    // Without the direction of the penalty; where curvatures are beyond it, they stay.
+    let far = |i: usize| (principal.values[i] + NORMAL_PENALTY).abs();
+    let normal = (0..3).fold(0, |best, i| if far(i) < far(best) { i } else { best });
+    let kept = [[1, 2], [0, 2], [0, 1]][normal];
+    (
+        kept.map(|i| principal.values[i]),
+        kept.map(|i| principal.vectors[i]),
+    )
 }
 
 /// A direction with its sign fixed: the largest component by size, the first of equals, is positive.

@@ -12,8 +12,7 @@
 //! ```
 //!
 //! The moments depend on the centre only, so each voxel that is inner or outer to some surfel is
-//! evaluated once. Rows of the ball are windows of bits; a run of inside voxels adds its count
-//! and power sums in constant time.
+//! evaluated once: see [`moments`](super::moments).
 //!
 //! **Which eigenvector.** With [`Orientation::Moment`] the one nearest the first moment
 //! (largest |cos|), pointing away from it. Ties, made explicit because small solids are full of
@@ -27,9 +26,11 @@ use crate::khalimsky::OrientedSurfel;
 use crate::lattice::{Ball, Lattice};
 use crate::simd::{Level, Work, dispatch};
 use crate::surfel::{CellBox, Surfels};
-use crate::symmetric::{Eigen, Symmetric, eigen};
+use crate::symmetric::{Symmetric, eigen, eigenvector_near};
 use crate::volume::{BitBox, PlaneWindow};
 
+use super::border::Border;
+use super::moments::{MomentKernel, Moments};
 use super::{Normals, Orientation, touches_border, trivial_normal};
 
 /// Eigenvalues closer than this, relative to the largest, count as equal. Larger would merge
@@ -41,163 +42,62 @@ pub const SAME_EIGENVALUE: f64 = 1e-7;
 /// to which the first moment is equally near.
 pub const SAME_COSINE: f64 = 1e-9;
 
-/// Rows of the ball of voxels in one plane.
-#[derive(Clone, Debug)]
-struct BallPlane {
-    dz: i32,
-    /// For each row its displacement along y and its half-width along x.
-    rows: Vec<(i32, i32)>,
-}
+/// An eigenvector whose squared cosine is larger than a half is the nearest of the three; a little more, so that
+/// rounding and [`SAME_COSINE`] have no say.
+const SURELY_NEAREST: f64 = 0.51;
 
 /// Integral invariants at one radius.
 #[derive(Clone, Debug)]
 pub struct IntegralKernel {
-    ball: Ball,
+    moments: MomentKernel,
     edges: [f64; 3],
+    /// Whether 64 bits hold the numerators of a covariance.
+    narrow: bool,
     orientation: Orientation,
-    planes: Vec<BallPlane>,
-    /// `power[x + widest]` = (sum of x', sum of x'^2) over x' < x, from -widest.
-    power: Vec<[i64; 2]>,
-    widest: i32,
-}
-
-/// The moments about each of some voxels.
-struct MomentsOf<'a> {
-    kernel: &'a IntegralKernel,
-    bits: &'a BitBox,
-    voxels: &'a [[i32; 3]],
-}
-
-impl Work for MomentsOf<'_> {
-    type Output = Vec<Moments>;
-
-    #[inline(always)]
-    fn run<L: Level>(self) -> Vec<Moments> {
-        // A loop and not an iterator: what an adapter calls is compiled for the baseline.
-        let mut moments = Vec::with_capacity(self.voxels.len());
-        for &c in self.voxels {
-            moments.push(self.kernel.moments(self.bits, c));
-        }
-        moments
-    }
-}
-
-/// Moments of the solid in a ball about its centre, in voxels.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Moments {
-    pub(crate) count: i64,
-    first: [i64; 3],
-    /// xx, yy, zz, xy, xz, yz
-    second: [i64; 6],
 }
 
 /// Moments about the voxels beside some surfels.
 pub(crate) struct BesideSurfels {
-    /// The voxels in reach.
-    pub(crate) bits: BitBox,
     /// One for each voxel that is inner or outer to a surfel.
     pub(crate) moments: Vec<Moments>,
     /// For each surfel the numbers of its inner and its outer voxel.
     pub(crate) pairs: Vec<(u32, u32)>,
+    reach: [i32; 3],
+    /// The border of an open image.
+    border: Option<Border>,
+}
+
+impl BesideSurfels {
+    /// Whether a surfel touches the border of an open image, or its ball leaves the image where the solid
+    /// meets the border (within the box around the ball): how it goes on is unknown, and it was
+    /// taken to end there. A solid that stays clear of the border is taken to be all there is.
+    pub(crate) fn is_cut(&self, surfel: OrientedSurfel, lattice: &Lattice) -> bool {
+        self.border.as_ref().is_some_and(|border| {
+            let (p, q) = (surfel.inner, surfel.outer());
+            let lo = [0, 1, 2].map(|a| p[a].min(q[a]) - self.reach[a]);
+            let hi = [0, 1, 2].map(|a| p[a].max(q[a]) + self.reach[a] + 1);
+            touches_border(surfel, lattice) || border.is_met(lo, hi)
+        })
+    }
 }
 
 impl IntegralKernel {
     /// Prepares for a ball of voxels of the given edges (in voxel units).
     #[must_use]
     pub fn new(ball: Ball, edges: [f64; 3], orientation: Orientation) -> Self {
-        let mut planes = Vec::new();
-        let [widest, _, rz] = ball.reach();
-        for dz in -rz..=rz {
-            let used_z = ball.metric.squared([0, 0, dz]);
-            let Some(ry) = ball.half_width(1, used_z) else {
-                continue;
-            };
-            let rows = (-ry..=ry)
-                .filter_map(|dy| {
-                    let used = ball.metric.squared([0, dy, dz]);
-                    ball.half_width(0, used).map(|half_width| (dy, half_width))
-                })
-                .collect();
-            planes.push(BallPlane { dz, rows });
-        }
-        let mut power = vec![[0, 0]];
-        let mut sums = [0, 0];
-        for x in i64::from(-widest)..=i64::from(widest) {
-            sums[0] += x;
-            sums[1] += x * x;
-            power.push(sums);
-        }
+        // Sums of coordinates are at most the count times the reach, and squares likewise.
+        let [x, y, z] = ball.reach().map(f64::from);
+        let most = (2.0 * x + 1.0) * (2.0 * y + 1.0) * (2.0 * z + 1.0) * x.max(y).max(z);
         Self {
-            ball,
+            narrow: most * most < 2f64.powi(62),
+            moments: MomentKernel::new(ball),
             edges,
             orientation,
-            planes,
-            power,
-            widest,
         }
     }
 
     pub(crate) fn ball(&self) -> &Ball {
-        &self.ball
-    }
-
-    /// Moments about voxel `c`; `bits` must cover the ball.
-    #[inline(always)]
-    fn moments(&self, bits: &BitBox, c: [i32; 3]) -> Moments {
-        let mut m = Moments::default();
-        let x = c[0] - bits.lo()[0];
-        for plane in &self.planes {
-            // Sums over the plane: of 1, x, x^2, y, y^2, xy.
-            let (mut n, mut sx, mut sxx, mut sy, mut syy, mut sxy) =
-                (0i64, 0i64, 0i64, 0i64, 0i64, 0i64);
-            for &(dy, w) in &plane.rows {
-                let words = bits.row(c[1] + dy, c[2] + plane.dz);
-                let (mut count, mut sum, mut squares) = (0i64, 0i64, 0i64);
-                let mut done = 0;
-                while done < 2 * w + 1 {
-                    let length = (2 * w + 1 - done).min(64);
-                    let window = BitBox::bits(words, (x - w + done) as usize);
-                    let mut rest = window & (!0 >> (64 - length));
-                    // index into `power` of the window's bit 0
-                    let mut at = (done - w + self.widest) as usize;
-                    while rest != 0 {
-                        let gap = rest.trailing_zeros();
-                        rest >>= gap;
-                        let run = rest.trailing_ones();
-                        let (from, to) = (
-                            self.power[at + gap as usize],
-                            self.power[at + (gap + run) as usize],
-                        );
-                        count += i64::from(run);
-                        sum += to[0] - from[0];
-                        squares += to[1] - from[1];
-                        at += (gap + run) as usize;
-                        // twice, since a run may be the whole word
-                        rest = rest >> (run - 1) >> 1;
-                    }
-                    done += length;
-                }
-                let dy = i64::from(dy);
-                n += count;
-                sx += sum;
-                sxx += squares;
-                sy += dy * count;
-                syy += dy * dy * count;
-                sxy += dy * sum;
-            }
-            let dz = i64::from(plane.dz);
-            m.count += n;
-            m.first[0] += sx;
-            m.first[1] += sy;
-            m.first[2] += dz * n;
-            m.second[0] += sxx;
-            m.second[1] += syy;
-            m.second[2] += dz * dz * n;
-            m.second[3] += sxy;
-            m.second[4] += dz * sx;
-            m.second[5] += dz * sy;
-        }
-        m
+        self.moments.ball()
     }
 
     /// Covariance in voxel units; zero where there is no voxel.
@@ -206,23 +106,30 @@ impl IntegralKernel {
             return Symmetric::default();
         }
         const PAIRS: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
-        Symmetric::from_terms([0, 1, 2, 3, 4, 5].map(|t| {
-            let (i, j) = PAIRS[t];
-            // Wide: for flat voxels a ball can hold many of them along an axis.
-            let numerator = i128::from(m.count) * i128::from(m.second[t])
-                - i128::from(m.first[i]) * i128::from(m.first[j]);
-            self.edges[i] * self.edges[j] * (numerator as f64 / m.count as f64)
-        }))
+        let mut terms = [0.0; 6];
+        for (t, (i, j)) in PAIRS.into_iter().enumerate() {
+            let numerator = if self.narrow {
+                (m.count * m.second[t] - m.first[i] * m.first[j]) as f64
+            } else {
+                // For flat voxels a ball can hold many of them along an axis.
+                let wide = i128::from(m.count) * i128::from(m.second[t])
+                    - i128::from(m.first[i]) * i128::from(m.first[j]);
+                wide as f64
+            };
+            terms[t] = self.edges[i] * self.edges[j] * (numerator / m.count as f64);
+        }
+        Symmetric::from_terms(terms)
     }
 
     /// The moments about the inner and outer voxels of the surfels of `core`.
     pub(crate) fn beside(
         &self,
         window: &PlaneWindow,
+        lattice: &Lattice,
         core: CellBox,
         surfels: &Surfels,
     ) -> BesideSurfels {
-        let reach = self.ball.reach();
+        let reach = self.ball().reach();
         let lo = [0, 1, 2].map(|a| core.lo[a] - 1 - reach[a]);
         let hi = [0, 1, 2].map(|a| core.hi[a] + reach[a]);
         let bits = BitBox::cut(window, lo, hi);
@@ -246,15 +153,12 @@ impl IntegralKernel {
                 (at(surfel.inner), at(surfel.outer()))
             })
             .collect();
-        let moments = dispatch(MomentsOf {
-            kernel: self,
-            bits: &bits,
-            voxels: &voxels,
-        });
+        let moments = self.moments.about(&bits, &voxels);
         BesideSurfels {
-            bits,
             moments,
             pairs,
+            reach,
+            border: (!lattice.closed).then(|| Border::count(&bits, lo, hi, lattice)),
         }
     }
 
@@ -269,69 +173,57 @@ impl IntegralKernel {
         if surfels.list.is_empty() {
             return normals;
         }
-        let BesideSurfels {
-            bits,
-            moments,
-            pairs,
-        } = self.beside(window, core, surfels);
-        let evaluated: Vec<(Symmetric, [i64; 3])> = moments
-            .iter()
-            .map(|m| (self.covariance(m), m.first))
-            .collect();
-        for (surfel, (inner, outer)) in surfels.list.iter().zip(pairs) {
-            let (a, b) = (&evaluated[inner as usize], &evaluated[outer as usize]);
-            let covariance = a.0.zip(&b.0, |a, b| 0.5 * (a + b));
-            let first = [0, 1, 2].map(|i| a.1[i] + b.1[i]);
+        let beside = self.beside(window, lattice, core, surfels);
+        let covariances: Vec<Symmetric> =
+            beside.moments.iter().map(|m| self.covariance(m)).collect();
+        for (i, &(inner, outer)) in beside.pairs.iter().enumerate() {
+            let [a, b] = [inner, outer].map(|at| &beside.moments[at as usize].first);
+            let first = [0, 1, 2].map(|i| a[i] + b[i]);
+            let [a, b] = [inner, outer].map(|at| &covariances[at as usize]);
+            let covariance = a.zip(b, |a, b| 0.5 * (a + b));
+            let surfel = surfels.oriented(i);
             let n = trivial_normal(surfel.orientation);
+            let moment =
+                DVec3::from_array([0, 1, 2].map(|i| 0.5 * self.edges[i] * first[i] as f64));
             let u = match self.orientation {
                 Orientation::Trivial if covariance == Symmetric::default() => None,
                 Orientation::Trivial => {
-                    let u = eigen(&covariance).vectors[0];
+                    let u = smallest_direction(&covariance, moment);
                     Some(if u.dot(n) < 0.0 { -u } else { u })
                 }
                 Orientation::Moment if first == [0; 3] => None,
-                Orientation::Moment => {
-                    let moment =
-                        DVec3::from_array([0, 1, 2].map(|i| 0.5 * self.edges[i] * first[i] as f64));
-                    Some(-nearest_direction(&eigen(&covariance), moment))
-                }
+                Orientation::Moment => Some(-nearest_direction(&covariance, moment)),
             };
             normals.degenerate.push(u.is_none());
-            normals.cut.push(false);
+            normals.cut.push(beside.is_cut(surfel, lattice));
             normals.u.push(u.unwrap_or(n));
-        }
-        if !lattice.closed {
-            for (i, cut) in normals.cut.iter_mut().enumerate() {
-                let surfel = surfels.oriented(i);
-                *cut = touches_border(surfel, lattice) || self.is_cut(&bits, surfel, lattice);
-            }
         }
         normals
     }
+}
 
-    /// Whether the ball of a surfel leaves the image where the solid meets the border (within the
-    /// box around the ball): how it goes on is unknown, and it was taken to end there. A solid
-    /// that stays clear of the border is taken to be all there is.
-    pub(crate) fn is_cut(&self, bits: &BitBox, surfel: OrientedSurfel, lattice: &Lattice) -> bool {
-        let reach = self.ball.reach();
-        let (p, q) = (surfel.inner, surfel.outer());
-        let last = lattice.dims.map(|n| n as i32 - 1);
-        let lo = [0, 1, 2].map(|a| p[a].min(q[a]) - reach[a]);
-        let hi = [0, 1, 2].map(|a| p[a].max(q[a]) + reach[a]);
-        let meets = |a: usize, face: i32| {
-            let mut from = lo.map(|x| x.max(0));
-            let mut to = [0, 1, 2].map(|b| hi[b].min(last[b]));
-            (from[a], to[a]) = (face, face);
-            (from[2]..=to[2]).any(|z| {
-                (from[1]..=to[1]).any(|y| (from[0]..=to[0]).any(|x| bits.inside([x, y, z])))
-            })
-        };
-        (0..3).any(|a| lo[a] < 0 && meets(a, 0) || hi[a] > last[a] && meets(a, last[a]))
+/// The eigenvector of the smallest eigenvalue, which is expected near `v`.
+fn smallest_direction(m: &Symmetric, v: DVec3) -> DVec3 {
+    match eigenvector_near(m, v) {
+        Some(near) if near.is_smallest => near.vector,
+        _ => eigen(m).vectors[0],
     }
 }
 
 /// The eigendirection nearest a nonzero vector, on its side. See the module page for ties.
-fn nearest_direction(e: &Eigen, v: DVec3) -> DVec3 {
+fn nearest_direction(m: &Symmetric, v: DVec3) -> DVec3 {
+    if let Some(near) = eigenvector_near(m, v) {
+        let along = near.vector.dot(v);
+        // Beyond 45 degrees another may be as near.
+        if along * along >= SURELY_NEAREST * v.length_squared() {
+            return if along < 0.0 {
+                -near.vector
+            } else {
+                near.vector
+            };
+        }
+    }
+    let e = eigen(m);
     let scale = e.values.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
     let same = |i: usize, j: usize| e.values[j] - e.values[i] <= SAME_EIGENVALUE * scale;
     let mut best = (0.0, v);
@@ -354,76 +246,4 @@ fn nearest_direction(e: &Eigen, v: DVec3) -> DVec3 {
         i = j;
     }
     best.1.normalize()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::lattice::Lattice;
-    use crate::volume::BitPlane;
-    use std::sync::Arc;
-
-    fn noise(dims: [u32; 3]) -> PlaneWindow {
-        let mut state = 7u64;
-        let planes = (0..dims[2])
-            .map(|_| {
-                let mut plane = BitPlane::outside(dims[0], dims[1]);
-                for row in plane.rows_mut() {
-                    for x in 0..dims[0] as usize {
-                        state = state
-                            .wrapping_mul(6364136223846793005)
-                            .wrapping_add(1442695040888963407);
-                        row[x / 64] |= (state >> 40 & 1) << (x % 64);
-                    }
-                }
-                Arc::new(plane)
-            })
-            .collect();
-        PlaneWindow {
-            dims,
-            z0: 0,
-            planes,
-        }
-    }
-
-    #[test]
-    fn moments_are_those_of_counting_voxels() {
-        let dims = [150, 9, 8];
-        let window = noise(dims);
-        for (radius, spacing) in [
-            (3.0, [1.0; 3]),
-            (2.5, [1.0, 0.6, 0.8]),
-            (5.0, [0.1, 1.0, 0.9]),
-        ] {
-            let lattice = Lattice::new(dims.map(u64::from), spacing, false).unwrap();
-            let ball = lattice.metric().voxel_ball(radius).unwrap();
-            let kernel = IntegralKernel::new(ball, lattice.edges(), Orientation::Moment);
-            let r = ball.reach();
-            for c in [[75, 4, 4], [1, 0, 7], [149, 8, 0]] {
-                let lo = [0, 1, 2].map(|a| c[a] - r[a]);
-                let hi = [0, 1, 2].map(|a| c[a] + r[a] + 1);
-                let bits = BitBox::cut(&window, lo, hi);
-                let mut expected = Moments::default();
-                for z in lo[2]..hi[2] {
-                    for y in lo[1]..hi[1] {
-                        for x in lo[0]..hi[0] {
-                            let d = [x - c[0], y - c[1], z - c[2]];
-                            if ball.contains(d) && bits.inside([x, y, z]) {
-                                let d = d.map(i64::from);
-                                expected.count += 1;
-                                for a in 0..3 {
-                                    expected.first[a] += d[a];
-                                    expected.second[a] += d[a] * d[a];
-                                }
-                                expected.second[3] += d[0] * d[1];
-                                expected.second[4] += d[0] * d[2];
-                                expected.second[5] += d[1] * d[2];
-                            }
-                        }
-                    }
-                }
-                assert_eq!(kernel.moments(&bits, c), expected);
-            }
-        }
-    }
 }

@@ -23,6 +23,7 @@ mod border;
 pub mod given;
 pub mod gradient;
 pub mod integral;
+mod moments;
 pub mod refine;
 pub mod trivial;
 pub mod vcm;
@@ -128,7 +129,7 @@ pub enum NormalKernel {
     /// See [`integral`].
     Integral(integral::IntegralKernel),
     /// See [`vcm`].
-    Vcm(vcm::VcmKernel),
+    Vcm(Box<vcm::VcmKernel>),
     /// See [`average`].
     Average(average::AverageKernel),
     /// See [`gradient`].
@@ -161,13 +162,13 @@ impl NormalKernel {
                 voronoi_radius,
                 radius,
                 side,
-            } => Self::Vcm(vcm::VcmKernel::new(
+            } => Self::Vcm(Box::new(vcm::VcmKernel::new(
                 voronoi_radius,
                 radius,
                 side,
                 lattice,
                 adjacency,
-            )?),
+            )?)),
             Estimator::SurfaceAverage { radius } => Self::Average(average::AverageKernel::new(
                 lattice.metric().khalimsky_ball(radius)?,
                 lattice.edges(),
