@@ -77,9 +77,10 @@ pub(super) fn read(
         random.check()?;
         return Ok(counts);
     }
+    let mut packer = Packer::new(&header, &binarizer, shared);
     let mut z = 0;
     let mut send = |bytes: &[u8], count: u64| {
-        let (planes, nan) = pack(bytes, count, &header, &binarizer, shared);
+        let (planes, nan) = packer.pack(bytes, count);
         z += count;
         counts.nan += nan;
         shared.progress.planes_read.store(z, Ordering::Relaxed);
@@ -200,42 +201,81 @@ impl Fetching {
     }
 }
 
-/// Packs stored planes, rows in parallel.
-fn pack(
-    bytes: &[u8],
-    count: u64,
-    header: &Header,
-    binarizer: &Binarizer,
-    shared: &Shared<'_>,
-) -> (Vec<Plane>, u64) {
-    let [dims_x, dims_y, _] = shared.lattice.dims;
-    let row_bytes = dims_x as usize * header.voxel.bytes();
-    let plane_bytes = row_bytes * dims_y as usize;
-    // enough rows to be worth a task
-    let rows_per_task = (1 << 16) / row_bytes.max(1) + 1;
-    let with_values = shared.kernels.normals.needs_grey();
-    shared.pool.install(|| {
-        let packed: Vec<_> = (0..count as usize)
-            .into_par_iter()
-            .map(|p| {
-                let stored = &bytes[p * plane_bytes..(p + 1) * plane_bytes];
-                let mut plane = BitPlane::outside(dims_x, dims_y);
-                let nan: u64 = plane
-                    .par_rows_mut()
-                    .zip(stored.par_chunks_exact(row_bytes))
-                    .with_min_len(rows_per_task)
-                    .map(|(out, row)| binarizer.pack_row(row, out))
-                    .sum();
-                let plane = Plane {
-                    bits: Arc::new(plane),
+/// Packs stored planes.
+struct Packer<'a> {
+    header: &'a Header,
+    binarizer: &'a Binarizer,
+    shared: &'a Shared<'a>,
+    /// The plane without a voxel inside, which is the same wherever there is one.
+    outside: Arc<BitPlane>,
+    /// Words of planes that were not kept.
+    spare: Vec<Vec<u64>>,
+}
+
+impl<'a> Packer<'a> {
+    fn new(header: &'a Header, binarizer: &'a Binarizer, shared: &'a Shared<'a>) -> Self {
+        let [dims_x, dims_y, _] = shared.lattice.dims;
+        Self {
+            header,
+            binarizer,
+            shared,
+            outside: Arc::new(BitPlane::outside(dims_x, dims_y)),
+            spare: Vec::new(),
+        }
+    }
+
+    /// Packs `count` planes, some rows a task, and counts what is not a number.
+    fn pack(&mut self, bytes: &[u8], count: u64) -> (Vec<Plane>, u64) {
+        let [dims_x, dims_y, _] = self.shared.lattice.dims;
+        let row_bytes = dims_x as usize * self.header.voxel.bytes();
+        let plane_bytes = row_bytes * dims_y as usize;
+        let row_words = (dims_x as usize).div_ceil(64);
+        // enough rows to be worth a task
+        let task_rows = (1 << 17) / row_bytes.max(1) + 1;
+        let with_values = self.shared.kernels.normals.needs_grey();
+        let binarizer = self.binarizer;
+        let mut words: Vec<_> = (0..count)
+            .map(|_| self.spare.pop())
+            .map(|words| words.unwrap_or_else(|| vec![0; row_words * dims_y as usize]))
+            .collect();
+        let (packed, nan) = self.shared.pool.install(|| {
+            let tasks = words.iter_mut().zip(bytes.chunks_exact(plane_bytes));
+            let tasks: Vec<_> = tasks
+                .flat_map(|(words, stored)| {
+                    let rows = words.chunks_mut(task_rows * row_words);
+                    rows.zip(stored.chunks(task_rows * row_bytes))
+                })
+                .collect();
+            let nan = tasks
+                .into_par_iter()
+                .map(|(out, stored)| {
+                    let rows = out.chunks_exact_mut(row_words);
+                    let rows = rows.zip(stored.chunks_exact(row_bytes));
+                    rows.map(|(out, row)| binarizer.pack_row(row, out))
+                        .sum::<u64>()
+                })
+                .sum();
+            let packed: Vec<_> = words
+                .into_par_iter()
+                .zip(bytes.par_chunks_exact(plane_bytes))
+                .map(|(words, stored)| {
                     // A copy even of what is mapped: the map may be let go, and is only checked
                     // after it was used.
-                    stored: with_values.then(|| Arc::new(GreyPlane::Rows(stored.to_vec()))),
-                };
-                (plane, nan)
-            })
-            .collect();
-        let nan = packed.iter().map(|(_, nan)| nan).sum();
-        (packed.into_iter().map(|(plane, _)| plane).collect(), nan)
-    })
+                    let stored = with_values.then(|| Arc::new(GreyPlane::Rows(stored.to_vec())));
+                    (BitPlane::from_rows(dims_x, words), stored)
+                })
+                .collect();
+            (packed, nan)
+        });
+        let planes = packed.into_iter().map(|(plane, stored)| Plane {
+            bits: if plane.is_outside() {
+                self.spare.push(plane.into_words());
+                Arc::clone(&self.outside)
+            } else {
+                Arc::new(plane)
+            },
+            stored,
+        });
+        (planes.collect(), nan)
+    }
 }

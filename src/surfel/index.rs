@@ -6,6 +6,7 @@
 
 use std::ops::Range;
 
+use crate::dispatch::{Work, dispatch};
 use crate::khalimsky::{Direction, OrientedSurfel};
 use crate::lattice::Lattice;
 use crate::volume::{BitBox, PlaneWindow};
@@ -85,80 +86,11 @@ impl SurfelIndex {
     /// `cells.hi`, at least.
     #[must_use]
     pub fn find(bits: &BitBox, cells: CellBox, lattice: &Lattice) -> Self {
-        let size = cells.size();
-        let words_per_row = (size[0] as usize).div_ceil(64);
-        let rows = 3 * (size[1] * size[2]) as usize;
-        let mut words = vec![0u64; rows * words_per_row];
-        let x0 = (cells.lo[0] - bits.lo()[0]) as usize;
-        // Bits of cells that may own a surfel along x, and along y and z, in each word of a row.
-        let masks = |lo: i32, hi: i32| -> Vec<u64> {
-            (0..words_per_row)
-                .map(|w| {
-                    let first = cells.lo[0] + 64 * w as i32;
-                    let from = (lo - first).clamp(0, 64) as u32;
-                    let to = (hi.min(cells.hi[0]) - first).clamp(0, 64) as u32;
-                    low_bits(to) & !low_bits(from)
-                })
-                .collect()
-        };
-        let dims = lattice.dims.map(|n| n as i32);
-        // On an open image no surfel lies on the border: cell 0 owns none along the axis.
-        let first = i32::from(!lattice.closed);
-        let end = dims.map(|n| n + i32::from(lattice.closed));
-        let along_x = masks(first, end[0]);
-        let across_x = masks(0, dims[0]);
-        let plane_words = 3 * size[1] as usize * words_per_row;
-        let mut total = 0u32;
-        let mut rank = Vec::with_capacity(words.len() + 1);
-        for (dz, plane) in words.chunks_exact_mut(plane_words.max(1)).enumerate() {
-            let z = cells.lo[2] + dz as i32;
-            let z_owns = (first..end[2]).contains(&z);
-            let z_exists = z < dims[2];
-            let (z_rows, yx_rows) = plane.split_at_mut(size[1] as usize * words_per_row);
-            for dy in 0..size[1] as usize {
-                let y = cells.lo[1] + dy as i32;
-                let here = bits.row(y, z);
-                if z_owns && y < dims[1] {
-                    let below = bits.row(y, z - 1);
-                    for (w, out) in z_rows[dy * words_per_row..][..words_per_row]
-                        .iter_mut()
-                        .enumerate()
-                    {
-                        let x = x0 + 64 * w;
-                        *out = (BitBox::bits(here, x) ^ BitBox::bits(below, x)) & across_x[w];
-                    }
-                }
-                if !z_exists {
-                    continue;
-                }
-                let pair = &mut yx_rows[2 * dy * words_per_row..][..2 * words_per_row];
-                if (first..end[1]).contains(&y) {
-                    let before = bits.row(y - 1, z);
-                    for w in 0..words_per_row {
-                        let x = x0 + 64 * w;
-                        pair[w] = (BitBox::bits(here, x) ^ BitBox::bits(before, x)) & across_x[w];
-                    }
-                }
-                if y < dims[1] {
-                    for w in 0..words_per_row {
-                        let x = x0 + 64 * w;
-                        pair[words_per_row + w] =
-                            (BitBox::bits(here, x) ^ BitBox::bits(here, x - 1)) & along_x[w];
-                    }
-                }
-            }
-        }
-        for word in &words {
-            rank.push(total);
-            total += word.count_ones();
-        }
-        rank.push(total);
-        Self {
+        dispatch(Find {
+            bits,
             cells,
-            words_per_row,
-            words,
-            rank,
-        }
+            lattice,
+        })
     }
 
     /// Number of surfels.
@@ -314,21 +246,136 @@ impl SurfelIndex {
             lattice.closed,
             &mut |lo, hi, known| {
                 if known.is_none() {
-                    count += Self::count_rows(window, lo, hi, z, lattice);
+                    let rows = CountRows {
+                        window,
+                        lo,
+                        hi,
+                        z,
+                        lattice,
+                    };
+                    count += dispatch(rows);
                 }
             },
         );
         count
     }
+}
 
-    /// Surfels of the cells `lo <= c < hi` of a plane; `lo[0]` is a multiple of 64.
-    fn count_rows(
-        window: &PlaneWindow,
-        lo: [i32; 2],
-        hi: [i32; 2],
-        z: i32,
-        lattice: &Lattice,
-    ) -> u64 {
+/// Finds the surfels of an index.
+struct Find<'a> {
+    bits: &'a BitBox,
+    cells: CellBox,
+    lattice: &'a Lattice,
+}
+
+impl Work for Find<'_> {
+    type Output = SurfelIndex;
+
+    #[inline(always)]
+    fn run(self) -> SurfelIndex {
+        let Self {
+            bits,
+            cells,
+            lattice,
+        } = self;
+        let size = cells.size();
+        let words_per_row = (size[0] as usize).div_ceil(64);
+        let rows = 3 * (size[1] * size[2]) as usize;
+        let mut words = vec![0u64; rows * words_per_row];
+        let x0 = (cells.lo[0] - bits.lo()[0]) as usize;
+        // Bits of cells that may own a surfel along x, and along y and z, in each word of a row.
+        let masks = |lo: i32, hi: i32| -> Vec<u64> {
+            (0..words_per_row)
+                .map(|w| {
+                    let first = cells.lo[0] + 64 * w as i32;
+                    let from = (lo - first).clamp(0, 64) as u32;
+                    let to = (hi.min(cells.hi[0]) - first).clamp(0, 64) as u32;
+                    low_bits(to) & !low_bits(from)
+                })
+                .collect()
+        };
+        let dims = lattice.dims.map(|n| n as i32);
+        // On an open image no surfel lies on the border: cell 0 owns none along the axis.
+        let first = i32::from(!lattice.closed);
+        let end = dims.map(|n| n + i32::from(lattice.closed));
+        let along_x = masks(first, end[0]);
+        let across_x = masks(0, dims[0]);
+        let plane_words = 3 * size[1] as usize * words_per_row;
+        let mut total = 0u32;
+        let mut rank = Vec::with_capacity(words.len() + 1);
+        for (dz, plane) in words.chunks_exact_mut(plane_words.max(1)).enumerate() {
+            let z = cells.lo[2] + dz as i32;
+            let z_owns = (first..end[2]).contains(&z);
+            let z_exists = z < dims[2];
+            let (z_rows, yx_rows) = plane.split_at_mut(size[1] as usize * words_per_row);
+            for dy in 0..size[1] as usize {
+                let y = cells.lo[1] + dy as i32;
+                let here = bits.row(y, z);
+                if z_owns && y < dims[1] {
+                    let below = bits.row(y, z - 1);
+                    for (w, out) in z_rows[dy * words_per_row..][..words_per_row]
+                        .iter_mut()
+                        .enumerate()
+                    {
+                        let x = x0 + 64 * w;
+                        *out = (BitBox::bits(here, x) ^ BitBox::bits(below, x)) & across_x[w];
+                    }
+                }
+                if !z_exists {
+                    continue;
+                }
+                let pair = &mut yx_rows[2 * dy * words_per_row..][..2 * words_per_row];
+                if (first..end[1]).contains(&y) {
+                    let before = bits.row(y - 1, z);
+                    for w in 0..words_per_row {
+                        let x = x0 + 64 * w;
+                        pair[w] = (BitBox::bits(here, x) ^ BitBox::bits(before, x)) & across_x[w];
+                    }
+                }
+                if y < dims[1] {
+                    for w in 0..words_per_row {
+                        let x = x0 + 64 * w;
+                        pair[words_per_row + w] =
+                            (BitBox::bits(here, x) ^ BitBox::bits(here, x - 1)) & along_x[w];
+                    }
+                }
+            }
+        }
+        for word in &words {
+            rank.push(total);
+            total += word.count_ones();
+        }
+        rank.push(total);
+        SurfelIndex {
+            cells,
+            words_per_row,
+            words,
+            rank,
+        }
+    }
+}
+
+/// Counts the surfels of the cells `lo <= c < hi` of a plane; `lo[0]` is a multiple of 64.
+struct CountRows<'a> {
+    window: &'a PlaneWindow,
+    lo: [i32; 2],
+    hi: [i32; 2],
+    z: i32,
+    lattice: &'a Lattice,
+}
+
+impl Work for CountRows<'_> {
+    type Output = u64;
+
+    #[inline(always)]
+    fn run(self) -> u64 {
+        let Self {
+            window,
+            lo,
+            hi,
+            z,
+            lattice,
+        } = self;
         let dims = lattice.dims.map(|n| n as i32);
         // One word before, for its last voxel.
         let skipped = usize::from(lo[0] > 0);
@@ -385,7 +432,7 @@ impl SurfelIndex {
 }
 
 /// The `n` lowest bits, `n <= 64`.
-#[inline]
+#[inline(always)]
 fn low_bits(n: u32) -> u64 {
     if n >= 64 { !0 } else { (1 << n) - 1 }
 }
