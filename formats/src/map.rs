@@ -166,6 +166,19 @@ impl GuardedMap {
         let _ = (start, end);
     }
 
+    /// Says that `start..end` will be read soon, so that the device goes on while what was read is used.
+    pub(crate) fn expect(&self, start: usize, end: usize) {
+        #[cfg(unix)]
+        if let Some(count) = end.min(self.map.len()).checked_sub(start) {
+            // Advice only, as above.
+            let _ = self
+                .map
+                .advise_range(memmap2::Advice::WillNeed, start, count);
+        }
+        #[cfg(not(unix))]
+        let _ = (start, end);
+    }
+
     /// Takes the pages of `start..end`, without the last if it is not whole, out of this process's
     /// resident memory. They come back from the page cache when touched again.
     pub(crate) fn release(&self, start: usize, end: usize) {

@@ -7,7 +7,7 @@
 //! Where z is not the slowest axis, a box of many planes costs little more than one plane, so
 //! such files are best read in thick boxes.
 
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 
 use crate::bytes::FileBytes;
 use crate::error::Error;
@@ -22,6 +22,10 @@ const GAP_BYTES: usize = 16 << 10;
 /// Mapped bytes touched before they are given back.
 const RELEASE_BYTES: u64 = 16 << 20;
 
+/// Mapped bytes asked for before they are used. Fewer leave the device idle while planes are packed; more
+/// only fill the page cache.
+const AHEAD_BYTES: usize = 16 << 20;
+
 /// Voxels stored one behind the other.
 #[derive(Debug)]
 pub(crate) struct StoredVoxels {
@@ -34,6 +38,8 @@ pub(crate) struct StoredVoxels {
     order: AxisOrder,
     /// Where the bytes end that were given back last.
     released: AtomicU64,
+    /// Where the bytes end that are expected to be read soon.
+    expected: AtomicUsize,
 }
 
 impl StoredVoxels {
@@ -59,6 +65,7 @@ impl StoredVoxels {
             voxel_bytes: header.voxel.bytes(),
             order,
             released: AtomicU64::new(0),
+            expected: AtomicUsize::new(0),
         }
     }
 
@@ -299,7 +306,12 @@ impl RandomVoxels for StoredVoxels {
         let (start, count) = (self.offset + z * plane, count * plane);
         let bytes = self.bytes.slice(start, count)?;
         if let (Some(map), Ok(start), Some(bytes)) = (self.bytes.map(), start.try_into(), bytes) {
-            map.fetch(start, start + bytes.len());
+            let end = start + bytes.len();
+            map.fetch(start, end);
+            // What is ahead, as far as that was not said before.
+            let ahead = end + AHEAD_BYTES;
+            let before = self.expected.swap(ahead, Ordering::Relaxed);
+            map.expect(if before < ahead { before.max(end) } else { end }, ahead);
         }
         Ok(bytes)
     }

@@ -507,3 +507,85 @@ impl Surfels {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::brick::BrickGrid;
+    use crate::volume::{BitPlane, SolidCounts};
+
+    /// Planes with a box of inside voxels and its opposite, with what is known of their squares or without.
+    fn window(lo: [u32; 3], hi: [u32; 3], opposite: bool, known: bool) -> PlaneWindow {
+        let dims = [150, 130, 3];
+        let planes = (0..dims[2]).map(|z| {
+            let mut words = vec![0u64; 3 * dims[1] as usize];
+            for y in 0..dims[1] {
+                for x in 0..dims[0] {
+                    let inside = (0..3).all(|a| (lo[a]..hi[a]).contains(&[x, y, z][a]));
+                    let word = &mut words[(3 * y + x / 64) as usize];
+                    *word |= u64::from(inside != opposite) << (x % 64);
+                }
+            }
+            let mut plane = BitPlane::from_rows(dims[0], words);
+            if !known {
+                plane.rows_mut();
+            }
+            Arc::new(plane)
+        });
+        PlaneWindow {
+            dims,
+            z0: 0,
+            planes: planes.collect(),
+        }
+    }
+
+    #[test]
+    fn what_is_known_of_squares_does_not_show() {
+        for (lo, hi) in [
+            ([0; 3], [0; 3]),
+            ([0; 3], [150, 130, 3]),
+            ([64, 64, 1], [128, 128, 2]),
+            ([63, 0, 0], [65, 1, 3]),
+            ([149, 129, 2], [150, 130, 3]),
+            ([0, 64, 0], [150, 128, 2]),
+        ] {
+            for opposite in [false, true] {
+                let [plain, known] = [false, true].map(|known| window(lo, hi, opposite, known));
+                for z in 0..=3 {
+                    let counts = [&plain, &known].map(|window| SolidCounts::of_plane(window, z));
+                    assert_eq!(counts[0], counts[1], "{lo:?} {hi:?} {opposite} {z}");
+                }
+                for closed in [false, true] {
+                    let lattice = Lattice::new([150, 130, 3], [1.0; 3], closed).unwrap();
+                    let grid = BrickGrid {
+                        cell_dims: lattice.cell_dims(),
+                        edge: 24,
+                    };
+                    let mut held = 0;
+                    for z in 0..grid.cell_dims[2] {
+                        let counts =
+                            [&plain, &known].map(|w| SurfelIndex::count_plane(w, z, &lattice));
+                        assert_eq!(counts[0], counts[1], "{lo:?} {hi:?} {opposite} {z}");
+                        held += counts[0];
+                    }
+                    // Every surfel is in a brick that is looked into.
+                    let z = 0..grid.cell_dims[2];
+                    let bricks = grid.occupied(&known, z.clone(), closed).into_iter();
+                    let found = bricks.map(|number| {
+                        let core = grid.core(number, &z);
+                        let (lo, hi) = (core.lo.map(|c| c - 1), core.hi.map(|c| c + 1));
+                        let bits = BitBox::cut(&known, lo, hi);
+                        SurfelIndex::find(&bits, core, &lattice).len() as u64
+                    });
+                    assert_eq!(
+                        found.sum::<u64>(),
+                        held,
+                        "{lo:?} {hi:?} {opposite} {closed}"
+                    );
+                }
+            }
+        }
+    }
+}

@@ -508,6 +508,64 @@ mod tests {
     }
 
     #[test]
+    fn every_type_is_packed_as_its_values_say() {
+        // Rows of more than one look, alike for long, with a tail; values around every threshold.
+        let thresholds = [
+            0.0,
+            -0.0,
+            1.0,
+            1.5,
+            -3.25,
+            100.0,
+            0.1,
+            1e-46,
+            1e300,
+            -1e300,
+            f64::INFINITY,
+            f64::NEG_INFINITY,
+            16_777_217.0,
+        ];
+        let mut values = Vec::new();
+        for t in thresholds {
+            let near = t as f32;
+            values.extend([near, near.next_up(), near.next_down(), f32::NAN]);
+            values.extend([t as f32; 130]);
+        }
+        let criteria = thresholds.iter().flat_map(|&t| {
+            [
+                Criterion::AtLeast(t.into()),
+                Criterion::Below(t.into()),
+                Criterion::Between(t.into(), (t + 0.5).into()),
+                Criterion::Label(t.into()),
+            ]
+        });
+        for criterion in criteria {
+            for order in [ByteOrder::Little, ByteOrder::Big] {
+                let b = Binarizer::new(criterion, VoxelType::F32, order, None);
+                let bytes = |v: &f32| match order {
+                    ByteOrder::Little => v.to_le_bytes(),
+                    ByteOrder::Big => v.to_be_bytes(),
+                };
+                let row: Vec<u8> = values.iter().flat_map(bytes).collect();
+                let expected: Vec<bool> =
+                    values.iter().map(|&v| criterion.holds(v.into())).collect();
+                let nan = values.iter().filter(|v| v.is_nan()).count() as u64;
+                assert_eq!(bits(&b, &row, values.len()), (expected, nan), "{criterion}");
+                let b = Binarizer::new(criterion, VoxelType::I16, order, None);
+                let whole: Vec<i16> = values.iter().map(|&v| v as i16).collect();
+                let bytes = |v: &i16| match order {
+                    ByteOrder::Little => v.to_le_bytes(),
+                    ByteOrder::Big => v.to_be_bytes(),
+                };
+                let row: Vec<u8> = whole.iter().flat_map(bytes).collect();
+                let expected: Vec<bool> =
+                    whole.iter().map(|&v| criterion.holds(v.into())).collect();
+                assert_eq!(bits(&b, &row, whole.len()), (expected, 0), "{criterion}");
+            }
+        }
+    }
+
+    #[test]
     fn scaled_integers_agree_with_scaled_values() {
         for (slope, intercept) in [(2.0, -1024.0), (-0.5, 3.0), (0.1, 0.05)] {
             let scaling = Scaling { slope, intercept };

@@ -71,7 +71,15 @@ fn stats_are_a_table_or_a_line_and_never_among_the_results() {
     let place = Place::with_ball();
     let table = curvox(&arguments(&place, "--stats")).end();
     assert_eq!(table.code, 0, "{}", table.err);
-    for word in ["read", "sums", "waits", "GB/s", "ns a surfel", "in flight", "bytes a surfel"] {
+    for word in [
+        "read",
+        "sums",
+        "waits",
+        "GB/s",
+        "ns a surfel",
+        "in flight",
+        "bytes a surfel",
+    ] {
         assert!(table.err.contains(word), "{word}: {}", table.err);
     }
     let mut with_json = arguments(&place, "--stats").to_vec();
