@@ -89,7 +89,7 @@ fn pack_voxels(bencher: Bencher<'_, '_>, bytes: usize) {
 fn search_empty_planes(bencher: Bencher<'_, '_>) {
     let mut plane = BitPlane::outside(4096, 4096);
     // What is known of the plane would leave nothing to search.
-    plane.rows_mut();
+    let _ = plane.rows_mut();
     let plane = Arc::new(plane);
     let window = PlaneWindow {
         dims: [4096, 4096, 2],

@@ -530,7 +530,7 @@ mod tests {
             }
             let mut plane = BitPlane::from_rows(dims[0], words);
             if !known {
-                plane.rows_mut();
+                let _ = plane.rows_mut();
             }
             Arc::new(plane)
         });
