@@ -7,6 +7,8 @@
 //! Where z is not the slowest axis, a box of many planes costs little more than one plane, so
 //! such files are best read in thick boxes.
 
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+
 use crate::bytes::FileBytes;
 use crate::error::Error;
 use crate::header::{Header, Region};
@@ -20,6 +22,10 @@ const GAP_BYTES: usize = 16 << 10;
 /// Mapped bytes touched before they are given back.
 const RELEASE_BYTES: u64 = 16 << 20;
 
+/// Mapped bytes asked for before they are used. Fewer leave the device idle while planes are packed; more
+/// only fill the page cache.
+const AHEAD_BYTES: usize = 16 << 20;
+
 /// Voxels stored one behind the other.
 #[derive(Debug)]
 pub(crate) struct StoredVoxels {
@@ -30,6 +36,10 @@ pub(crate) struct StoredVoxels {
     dims: [u64; 3],
     voxel_bytes: usize,
     order: AxisOrder,
+    /// Where the bytes end that were given back last.
+    released: AtomicU64,
+    /// Where the bytes end that are expected to be read soon.
+    expected: AtomicUsize,
 }
 
 impl StoredVoxels {
@@ -54,6 +64,8 @@ impl StoredVoxels {
             dims: header.dims,
             voxel_bytes: header.voxel.bytes(),
             order,
+            released: AtomicU64::new(0),
+            expected: AtomicUsize::new(0),
         }
     }
 
@@ -291,7 +303,17 @@ impl RandomVoxels for StoredVoxels {
         }
         self.check()?;
         let plane = nx * ny * self.voxel_bytes as u64;
-        self.bytes.slice(self.offset + z * plane, count * plane)
+        let (start, count) = (self.offset + z * plane, count * plane);
+        let bytes = self.bytes.slice(start, count)?;
+        if let (Some(map), Ok(start), Some(bytes)) = (self.bytes.map(), start.try_into(), bytes) {
+            let end = start + bytes.len();
+            map.fetch(start, end);
+            // What is ahead, as far as that was not said before.
+            let ahead = end + AHEAD_BYTES;
+            let before = self.expected.swap(ahead, Ordering::Relaxed);
+            map.expect(if before < ahead { before.max(end) } else { end }, ahead);
+        }
+        Ok(bytes)
     }
 
     fn check(&self) -> Result<(), Error> {
@@ -302,7 +324,11 @@ impl RandomVoxels for StoredVoxels {
         let [nx, ny, nz] = self.dims;
         if self.order.has_whole_planes() {
             let plane = nx * ny * self.voxel_bytes as u64;
-            self.release_bytes(self.offset, self.offset + z_end.min(nz) * plane);
+            let end = self.offset + z_end.min(nz) * plane;
+            // What was given back before need not be looked at again, unless reading began anew.
+            let before = self.released.swap(end, Ordering::Relaxed);
+            let start = if before < end { before } else { 0 };
+            self.release_bytes(start.max(self.offset), end);
         }
     }
 }

@@ -3,7 +3,7 @@
 //! Comes in: the arguments of the process. Goes out: an exit code; results where `-o` says,
 //! messages on standard error. One file for each subcommand; what they share: `input`, `method`,
 //! `output` (options), `job` (a run made ready), `lengths` and `sizes` (what is typed),
-//! `conventions` (what is said), `exit`, `signals`, `progress`, `report`.
+//! `conventions` (what is said), `exit`, `signals`, `progress`, `report`, `stats`.
 
 mod conventions;
 mod exit;
@@ -25,6 +25,7 @@ mod scale;
 mod shape;
 mod signals;
 mod sizes;
+mod stats;
 mod values;
 mod volume_output;
 

@@ -205,7 +205,10 @@ impl OutputArgs {
                 let recorder = Arc::new(recorder);
                 sinks.recorder = Some(Arc::clone(&recorder));
                 sinks.directory = Some(path.clone());
-                sinks.add(DatasetSink::create(path, info.clone(), Some(recorder))?);
+                sinks.add(
+                    "table",
+                    DatasetSink::create(path, info.clone(), Some(recorder))?,
+                );
                 if let Some(selection) = selection {
                     let options = SliceOptions {
                         selection,
@@ -213,27 +216,27 @@ impl OutputArgs {
                         range: None,
                         budget_bytes: Some(self.sink_bytes(info.dims, memory)?),
                     };
-                    sinks.add(SliceSink::create(path, info.clone(), &options)?);
+                    sinks.add("slices", SliceSink::create(path, info.clone(), &options)?);
                 }
             }
             Target::Parquet(path) => {
                 self.refuse_existing(path)?;
-                sinks.add(SingleSink::parquet_file(path, info.clone())?);
+                sinks.add("table", SingleSink::parquet_file(path, info.clone())?);
             }
             Target::Csv(path) => {
                 self.refuse_existing(path)?;
-                sinks.add(SingleSink::csv_file(path, info.clone())?);
+                sinks.add("table", SingleSink::csv_file(path, info.clone())?);
             }
             Target::Stdout => {
                 let path = Path::new("standard output");
-                sinks.add(self.stream(std::io::stdout(), path, info)?);
+                sinks.add("table", self.stream(std::io::stdout(), path, info)?);
             }
             Target::Device(path) => {
                 let file = OpenOptions::new()
                     .write(true)
                     .open(path)
                     .map_err(|error| SinkError::io(path, "open", error))?;
-                sinks.add(self.stream(file, path, info)?);
+                sinks.add("table", self.stream(file, path, info)?);
             }
         }
         Ok(sinks)
@@ -310,12 +313,15 @@ pub(super) fn target_of(path: &Path) -> Result<Target> {
 #[derive(Default)]
 pub(crate) struct Sinks {
     pub(crate) list: Vec<Box<dyn SurfelSink>>,
+    /// What each writes, in words.
+    pub(crate) names: Vec<&'static str>,
     pub(crate) recorder: Option<Arc<RunRecorder>>,
     directory: Option<PathBuf>,
 }
 
 impl Sinks {
-    fn add(&mut self, sink: impl SurfelSink + 'static) {
+    fn add(&mut self, name: &'static str, sink: impl SurfelSink + 'static) {
+        self.names.push(name);
         self.list.push(Box::new(sink));
     }
 

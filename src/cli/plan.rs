@@ -36,7 +36,7 @@ const SAMPLE_BYTES: u64 = 64 << 20;
 
 /// Bytes of a Parquet row, seen on scans: what does not depend on the radius, and for each radius
 /// without and with directions, and what the quality and the error bars add.
-const PARQUET_ROW: [u64; 5] = [19, 17, 41, 4, 4];
+const PARQUET_ROW: [u64; 5] = [19, 17, 41, 4, 2];
 
 /// The same for CSV.
 const CSV_ROW: [u64; 5] = [73, 50, 115, 13, 20];

@@ -1,7 +1,7 @@
 //! `curvox run`: from a volume to curvatures.
 
 use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
@@ -19,12 +19,20 @@ use super::job::{Job, JobArgs};
 use super::output::Target;
 use super::progress::{self, Style};
 use super::report;
+use super::stats::{Amounts, RunStats, StatsTo};
 
 /// Arguments of `curvox run`.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct RunArgs {
     #[command(flatten)]
     pub(crate) job: JobArgs,
+
+    /// Tell at the end what the stages spent: time, waits, memory, bytes written
+    ///
+    /// On standard error as a table (a JSON line with --json), or as JSON in a file that is not among the
+    /// results: those are the same bytes for every run.
+    #[arg(long, value_name = "FILE", num_args = 0..=1, require_equals = true, help_heading = "Messages")]
+    stats: Option<Option<PathBuf>>,
 }
 
 /// Runs.
@@ -32,6 +40,7 @@ pub(crate) fn run(args: &RunArgs, verbose: bool, stop: &AtomicBool) -> Result<()
     let job_args = &args.job;
     let started = Instant::now();
     let target = job_args.output.target()?;
+    let stats_to = StatsTo::of(args.stats.as_ref(), &target)?;
     let style = Style::choose(job_args.output.quiet, job_args.output.json, verbose);
     let job = job_args.prepare(style.of_bar(), stop)?;
     refuse_input_as_output(job.volume.source.path.as_deref(), &target)?;
@@ -53,6 +62,9 @@ pub(crate) fn run(args: &RunArgs, verbose: bool, stop: &AtomicBool) -> Result<()
         job.settings.memory_bytes,
     )?;
     let mut totals = SummarySink::new(job.info.clone())?;
+    let header = &job.volume.header;
+    let voxels = header.dims.iter().product();
+    let stored_bytes = voxels * header.voxel.bytes() as u64;
     let facts = report::Facts::of(&job);
     let Job {
         volume,
@@ -62,14 +74,17 @@ pub(crate) fn run(args: &RunArgs, verbose: bool, stop: &AtomicBool) -> Result<()
         ..
     } = job;
     let recorder = sinks.recorder.clone();
-    let work = || -> Result<report::Report> {
-        let outcome = {
+    let work = || -> Result<(report::Report, Option<RunStats>)> {
+        let mut outcome = {
             let mut list: Vec<&mut dyn SurfelSink> = vec![&mut totals];
             for sink in &mut sinks.list {
                 list.push(sink.as_mut());
             }
             let source = Source { volume, binarizer };
-            let progress = Progress::default();
+            let progress = Progress {
+                measured: stats_to.is_some(),
+                ..Progress::default()
+            };
             let planes = settings.lattice.cell_dims()[2].unsigned_abs().into();
             progress::watched(
                 |done| progress::show(style, &progress, planes, done),
@@ -86,12 +101,24 @@ pub(crate) fn run(args: &RunArgs, verbose: bool, stop: &AtomicBool) -> Result<()
         };
         let summary = totals.summary(facts.run_facts(&settings.lattice, &outcome, &totals));
         sinks.write_summary(&summary)?;
-        Ok(report::Report {
+        let stats = outcome.stats.take().map(|stats| {
+            let amounts = Amounts {
+                voxels,
+                stored_bytes,
+                surfels: outcome.cells.surfel_count(),
+            };
+            let names: Vec<_> = std::iter::once("totals")
+                .chain(sinks.names.iter().copied())
+                .collect();
+            RunStats::new(stats, plan, amounts, &names, &target, started)
+        });
+        let report = report::Report {
             summary,
             otsu: facts.otsu,
             target: target.clone(),
             seconds: started.elapsed().as_secs_f64(),
-        })
+        };
+        Ok((report, stats))
     };
     let result = work();
     if let Some(recorder) = recorder {
@@ -106,7 +133,7 @@ pub(crate) fn run(args: &RunArgs, verbose: bool, stop: &AtomicBool) -> Result<()
             },
         )?;
     }
-    let report = result?;
+    let (report, stats) = result?;
     if job_args.output.json {
         let line = format!("{}\n", report.json());
         if target == Target::Stdout {
@@ -119,6 +146,9 @@ pub(crate) fn run(args: &RunArgs, verbose: bool, stop: &AtomicBool) -> Result<()
     } else if !job_args.output.quiet {
         // Nobody may be reading; the results are written all the same.
         let _ = std::io::stderr().write_all(report.text().as_bytes());
+    }
+    if let (Some(stats), Some(to)) = (stats, stats_to) {
+        stats.tell(&to, job_args.output.json)?;
     }
     Ok(())
 }

@@ -1,14 +1,24 @@
 //! A budget of bytes shared by the stages of a run.
 
-use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 /// Bytes that may be in use at once.
 #[derive(Debug)]
 pub struct Budget {
     limit: u64,
-    used: Mutex<u64>,
+    used: Mutex<Used>,
     returned: Condvar,
+}
+
+#[derive(Debug, Default)]
+struct Used {
+    bytes: u64,
+    /// At most until now.
+    most_bytes: u64,
+    /// What is held as long as the grants, and not taken from the budget.
+    beside_bytes: u64,
+    most_beside_bytes: u64,
 }
 
 /// Bytes taken from a budget; given back on drop.
@@ -16,6 +26,7 @@ pub struct Budget {
 pub struct Grant {
     budget: Arc<Budget>,
     bytes: u64,
+    beside_bytes: u64,
 }
 
 impl Budget {
@@ -24,7 +35,7 @@ impl Budget {
     pub fn new(limit: u64) -> Arc<Self> {
         Arc::new(Self {
             limit,
-            used: Mutex::new(0),
+            used: Mutex::default(),
             returned: Condvar::new(),
         })
     }
@@ -40,8 +51,8 @@ impl Budget {
     /// The caller makes sure that enough of what is in use will be given back without this grant:
     /// see `stages::choose_slab`.
     pub fn take(self: &Arc<Self>, bytes: u64, stopped: impl Fn() -> bool) -> Option<Grant> {
-        let mut used = self.used.lock().unwrap_or_else(PoisonError::into_inner);
-        while *used > 0 && *used + bytes > self.limit {
+        let mut used = self.used();
+        while used.bytes > 0 && used.bytes + bytes > self.limit {
             if stopped() {
                 return None;
             }
@@ -49,22 +60,44 @@ impl Budget {
             let waited = self.returned.wait_timeout(used, Duration::from_millis(100));
             used = waited.unwrap_or_else(PoisonError::into_inner).0;
         }
-        *used += bytes;
+        used.bytes += bytes;
+        used.most_bytes = used.most_bytes.max(used.bytes);
         Some(Grant {
             budget: Arc::clone(self),
             bytes,
+            beside_bytes: 0,
         })
+    }
+
+    /// The bytes that were in use at once, at most: of grants, and beside them.
+    #[must_use]
+    pub fn most_used(&self) -> [u64; 2] {
+        let used = self.used();
+        [used.most_bytes, used.most_beside_bytes]
+    }
+
+    fn used(&self) -> MutexGuard<'_, Used> {
+        self.used.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Grant {
+    /// Counts bytes that are held as long as the grant, beside the budget; `ahead_bytes` are
+    /// held for now only.
+    pub fn note_beside(&mut self, bytes: u64, ahead_bytes: u64) {
+        self.beside_bytes += bytes;
+        let mut used = self.budget.used();
+        used.beside_bytes += bytes;
+        let now = used.beside_bytes + ahead_bytes;
+        used.most_beside_bytes = used.most_beside_bytes.max(now);
     }
 }
 
 impl Drop for Grant {
     fn drop(&mut self) {
-        let mut used = self
-            .budget
-            .used
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
-        *used -= self.bytes;
+        let mut used = self.budget.used();
+        used.bytes -= self.bytes;
+        used.beside_bytes -= self.beside_bytes;
         self.budget.returned.notify_all();
     }
 }
@@ -85,6 +118,18 @@ mod tests {
         assert!(!waiting.is_finished());
         drop(first);
         assert_eq!(waiting.join().unwrap(), Some(5));
+        assert_eq!(budget.most_used(), [8, 0]);
+    }
+
+    #[test]
+    fn what_is_held_beside_goes_with_the_grant() {
+        let budget = Budget::new(10);
+        let mut first = budget.take(4, || false).unwrap();
+        first.note_beside(100, 7);
+        drop(first);
+        let mut second = budget.take(6, || false).unwrap();
+        second.note_beside(20, 0);
+        assert_eq!(budget.most_used(), [6, 107]);
     }
 
     #[test]

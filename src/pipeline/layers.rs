@@ -28,6 +28,7 @@ use crate::volume::{Binarizer, BitPlane, GreyPlane, TILE_WIDTH, TileMap};
 use super::chunks::ChunkPlan;
 use super::reader::Plane;
 use super::shared::Shared;
+use super::stats::Clock;
 
 /// Reads layers in order of z.
 pub(super) struct LayerReader<'a> {
@@ -35,6 +36,7 @@ pub(super) struct LayerReader<'a> {
     header: &'a Header,
     binarizer: &'a Binarizer,
     shared: &'a Shared<'a>,
+    clock: &'a Clock,
     plan: &'a ChunkPlan,
     /// The last layer without tiles, for those that say the same.
     uniform: Option<(Arc<TileMap>, Plane)>,
@@ -80,6 +82,7 @@ impl<'a> LayerReader<'a> {
         header: &'a Header,
         binarizer: &'a Binarizer,
         shared: &'a Shared<'a>,
+        clock: &'a Clock,
         plan: &'a ChunkPlan,
     ) -> Self {
         Self {
@@ -87,6 +90,7 @@ impl<'a> LayerReader<'a> {
             header,
             binarizer,
             shared,
+            clock,
             plan,
             uniform: None,
         }
@@ -269,7 +273,7 @@ impl<'a> LayerReader<'a> {
                     return Ok(nan);
                 };
                 drop(tasks);
-                match self.work_on(task, &mut buffers) {
+                match self.clock.work(|| self.work_on(task, &mut buffers)) {
                     Ok(found) => nan += found,
                     Err(error) => {
                         // Nobody needs the others any more.

@@ -35,6 +35,7 @@ mod sending;
 mod settings;
 mod shared;
 mod stages;
+mod stats;
 
 pub use access::{Access, Sparse};
 pub use chunks::ChunkPlan;
@@ -43,3 +44,4 @@ pub use reader::{ReadCounts, Source};
 pub use run::{Outcome, run};
 pub use settings::{NamedMethod, Settings};
 pub use shared::Progress;
+pub use stats::{MemoryStats, StageStats, Stats};

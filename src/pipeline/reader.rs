@@ -18,6 +18,7 @@ use crate::volume::{Binarizer, BitPlane, GreyPlane};
 
 use super::layers::LayerReader;
 use super::shared::Shared;
+use super::stats::{Clock, Wait, thread_time};
 
 /// Where voxels come from, and which are inside.
 pub struct Source {
@@ -48,6 +49,7 @@ pub(super) struct Plane {
 pub(super) fn read(
     source: Source,
     shared: &Shared<'_>,
+    clock: &Clock,
     out: Sender<Vec<Plane>>,
 ) -> Result<ReadCounts, Error> {
     let Source { volume, binarizer } = source;
@@ -58,7 +60,8 @@ pub(super) fn read(
     } = volume;
     let mut counts = ReadCounts::default();
     if let (Voxels::Random(random), Some(plan)) = (&voxels, &shared.plan.chunks) {
-        let mut layers = LayerReader::new(random.as_ref(), &header, &binarizer, shared, plan);
+        let mut layers =
+            LayerReader::new(random.as_ref(), &header, &binarizer, shared, clock, plan);
         let mut z = 0;
         while z < header.dims[2] {
             let (planes, nan) = layers.read(z)?;
@@ -68,7 +71,8 @@ pub(super) fn read(
             let mut planes = planes.into_iter().peekable();
             while planes.peek().is_some() {
                 let some = planes.by_ref().take(shared.plan.read_planes as usize);
-                if shared.stopped() || out.send(some.collect()).is_err() {
+                let some = some.collect();
+                if shared.stopped() || clock.wait(Wait::Output, || out.send(some)).is_err() {
                     return Err(Error::Stopped);
                 }
             }
@@ -77,13 +81,14 @@ pub(super) fn read(
         random.check()?;
         return Ok(counts);
     }
+    let mut packer = Packer::new(&header, &binarizer, shared, clock);
     let mut z = 0;
     let mut send = |bytes: &[u8], count: u64| {
-        let (planes, nan) = pack(bytes, count, &header, &binarizer, shared);
+        let (planes, nan) = packer.pack(bytes, count);
         z += count;
         counts.nan += nan;
         shared.progress.planes_read.store(z, Ordering::Relaxed);
-        if shared.stopped() || out.send(planes).is_err() {
+        if shared.stopped() || clock.wait(Wait::Output, || out.send(planes)).is_err() {
             return Err(Error::Stopped);
         }
         Ok(z)
@@ -93,8 +98,9 @@ pub(super) fn read(
             let chunk = shared.plan.read_planes;
             let fetched = fetch(forward, header.dims[2], chunk, source.name);
             loop {
-                match fetched.next(shared)? {
-                    Fetched::Planes(count, bytes) => {
+                match clock.wait(Wait::Input, || fetched.next(shared))? {
+                    Fetched::Planes(count, bytes, time) => {
+                        clock.add_work(time);
                         send(&bytes, count)?;
                         fetched.recycle(bytes);
                     }
@@ -134,8 +140,8 @@ pub(super) fn read(
 
 /// What comes from a thread that fetches planes.
 enum Fetched {
-    /// Planes as stored, and how many.
-    Planes(u64, Vec<u8>),
+    /// Planes as stored, how many, and the processor time they took.
+    Planes(u64, Vec<u8>, Duration),
     /// All planes came and what follows them is sound, with warnings.
     End(Vec<String>),
 }
@@ -155,6 +161,7 @@ fn fetch(mut voxels: Box<dyn ForwardVoxels>, depth: u64, chunk: u64, name: Strin
     let (empty, empty_in) = bounded::<Vec<u8>>(2);
     std::thread::spawn(move || {
         let mut z = 0;
+        let mut time = thread_time();
         while z < depth {
             let mut bytes = empty_in.try_recv().unwrap_or_default();
             let fetched = match voxels.read_planes(chunk.min(depth - z), &mut bytes) {
@@ -165,7 +172,8 @@ fn fetch(mut voxels: Box<dyn ForwardVoxels>, depth: u64, chunk: u64, name: Strin
                 )),
                 Ok(count) => {
                     z += count;
-                    Ok(Fetched::Planes(count, bytes))
+                    let before = std::mem::replace(&mut time, thread_time());
+                    Ok(Fetched::Planes(count, bytes, time.saturating_sub(before)))
                 }
                 Err(error) => Err(error),
             };
@@ -200,42 +208,91 @@ impl Fetching {
     }
 }
 
-/// Packs stored planes, rows in parallel.
-fn pack(
-    bytes: &[u8],
-    count: u64,
-    header: &Header,
-    binarizer: &Binarizer,
-    shared: &Shared<'_>,
-) -> (Vec<Plane>, u64) {
-    let [dims_x, dims_y, _] = shared.lattice.dims;
-    let row_bytes = dims_x as usize * header.voxel.bytes();
-    let plane_bytes = row_bytes * dims_y as usize;
-    // enough rows to be worth a task
-    let rows_per_task = (1 << 16) / row_bytes.max(1) + 1;
-    let with_values = shared.kernels.normals.needs_grey();
-    shared.pool.install(|| {
-        let packed: Vec<_> = (0..count as usize)
-            .into_par_iter()
-            .map(|p| {
-                let stored = &bytes[p * plane_bytes..(p + 1) * plane_bytes];
-                let mut plane = BitPlane::outside(dims_x, dims_y);
-                let nan: u64 = plane
-                    .par_rows_mut()
-                    .zip(stored.par_chunks_exact(row_bytes))
-                    .with_min_len(rows_per_task)
-                    .map(|(out, row)| binarizer.pack_row(row, out))
-                    .sum();
-                let plane = Plane {
-                    bits: Arc::new(plane),
-                    // A copy even of what is mapped: the map may be let go, and is only checked
-                    // after it was used.
-                    stored: with_values.then(|| Arc::new(GreyPlane::Rows(stored.to_vec()))),
-                };
-                (plane, nan)
-            })
+/// Packs stored planes.
+struct Packer<'a> {
+    header: &'a Header,
+    binarizer: &'a Binarizer,
+    shared: &'a Shared<'a>,
+    clock: &'a Clock,
+    /// The plane without a voxel inside, which is the same wherever there is one.
+    outside: Arc<BitPlane>,
+    /// Words of planes that were not kept.
+    spare: Vec<Vec<u64>>,
+}
+
+impl<'a> Packer<'a> {
+    fn new(
+        header: &'a Header,
+        binarizer: &'a Binarizer,
+        shared: &'a Shared<'a>,
+        clock: &'a Clock,
+    ) -> Self {
+        let [dims_x, dims_y, _] = shared.lattice.dims;
+        Self {
+            header,
+            binarizer,
+            shared,
+            clock,
+            outside: Arc::new(BitPlane::outside(dims_x, dims_y)),
+            spare: Vec::new(),
+        }
+    }
+
+    /// Packs `count` planes, some rows a task, and counts what is not a number.
+    fn pack(&mut self, bytes: &[u8], count: u64) -> (Vec<Plane>, u64) {
+        let [dims_x, dims_y, _] = self.shared.lattice.dims;
+        let row_bytes = dims_x as usize * self.header.voxel.bytes();
+        let plane_bytes = row_bytes * dims_y as usize;
+        let row_words = (dims_x as usize).div_ceil(64);
+        // enough rows to be worth a task
+        let task_rows = (1 << 17) / row_bytes.max(1) + 1;
+        let with_values = self.shared.kernels.normals.needs_grey();
+        let (binarizer, clock) = (self.binarizer, self.clock);
+        let mut words: Vec<_> = (0..count)
+            .map(|_| self.spare.pop())
+            .map(|words| words.unwrap_or_else(|| vec![0; row_words * dims_y as usize]))
             .collect();
-        let nan = packed.iter().map(|(_, nan)| nan).sum();
-        (packed.into_iter().map(|(plane, _)| plane).collect(), nan)
-    })
+        let (packed, nan) = self.shared.pool.install(|| {
+            let tasks = words.iter_mut().zip(bytes.chunks_exact(plane_bytes));
+            let tasks: Vec<_> = tasks
+                .flat_map(|(words, stored)| {
+                    let rows = words.chunks_mut(task_rows * row_words);
+                    rows.zip(stored.chunks(task_rows * row_bytes))
+                })
+                .collect();
+            let nan = tasks
+                .into_par_iter()
+                .map(|(out, stored)| {
+                    let rows = out.chunks_exact_mut(row_words);
+                    let rows = rows.zip(stored.chunks_exact(row_bytes));
+                    let rows = rows.map(|(out, row)| binarizer.pack_row(row, out));
+                    clock.work(|| rows.sum::<u64>())
+                })
+                .sum();
+            let packed: Vec<_> = words
+                .into_par_iter()
+                .zip(bytes.par_chunks_exact(plane_bytes))
+                .map(|(words, stored)| {
+                    clock.work(|| {
+                        // A copy even of what is mapped: the map may be let go, and is only checked
+                        // after it was used.
+                        let stored =
+                            with_values.then(|| Arc::new(GreyPlane::Rows(stored.to_vec())));
+                        (BitPlane::from_rows(dims_x, words), stored)
+                    })
+                })
+                .collect();
+            (packed, nan)
+        });
+        let planes = packed.into_iter().map(|(plane, stored)| Plane {
+            bits: if plane.is_outside() {
+                self.spare.push(plane.into_words());
+                Arc::clone(&self.outside)
+            } else {
+                Arc::new(plane)
+            },
+            stored,
+        });
+        (planes.collect(), nan)
+    }
 }

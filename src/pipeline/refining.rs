@@ -18,10 +18,12 @@ use crate::volume::PlaneWindow;
 
 use super::shared::Shared;
 use super::stages::{NormalBrick, NormalSlab, grid};
+use super::stats::{Clock, Wait};
 
 /// Pass `number` of `kernel` over all slabs.
 pub(super) fn refine(
     shared: &Shared<'_>,
+    clock: &Clock,
     kernel: &RefineKernel,
     number: usize,
     input: &Receiver<Arc<NormalSlab>>,
@@ -40,7 +42,7 @@ pub(super) fn refine(
             {
                 break slab;
             }
-            match input.recv() {
+            match clock.wait(Wait::Input, || input.recv()) {
                 Ok(next) => window.push(next),
                 Err(_) => return Err(Error::Stopped),
             }
@@ -51,7 +53,8 @@ pub(super) fn refine(
                 .into_par_iter()
                 .map(|at| {
                     (!shared.stopped()).then(|| {
-                        refine_brick(shared, kernel, number, (&grid, &window, &voxels), &slab, at)
+                        let around = (&grid, &window, &voxels);
+                        clock.work(|| refine_brick(shared, kernel, number, around, &slab, at))
                     })
                 })
                 .collect()
@@ -73,7 +76,8 @@ pub(super) fn refine(
             bricks,
             grant: Arc::clone(&slab.grant),
         };
-        if shared.stopped() || out.send(Arc::new(refined)).is_err() {
+        let refined = Arc::new(refined);
+        if shared.stopped() || clock.wait(Wait::Output, || out.send(refined)).is_err() {
             return Err(Error::Stopped);
         }
         z = end;

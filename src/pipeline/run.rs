@@ -1,6 +1,7 @@
 //! Starts the stages, joins them, reports.
 
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
 
 use crossbeam_channel::bounded;
 use rayon::ThreadPoolBuilder;
@@ -19,6 +20,7 @@ use super::sending;
 use super::settings::Settings;
 use super::shared::{Progress, Shared};
 use super::stages;
+use super::stats::{self, Clock, MemoryStats, Stats};
 
 /// What a run found, beside the rows.
 #[derive(Clone, Debug, Default)]
@@ -33,6 +35,8 @@ pub struct Outcome {
     pub unmatched_normals: u64,
     /// The values on either side of the surfels, for normals made of values.
     pub sides: Sides,
+    /// What it spent, if [`Progress::measured`].
+    pub stats: Option<Stats>,
 }
 
 /// Runs the pipeline to its end: every row goes to every sink, in order, and the sinks finish.
@@ -75,7 +79,30 @@ pub fn run(
         failed: &failed,
     };
     let shared = &shared;
-    std::thread::scope(|scope| {
+    let started = Instant::now();
+    let clock = |name: &str| Clock::new(name, progress.measured);
+    let passes = (shared.kernels.refinement.as_ref()).map_or(0, |kernel| kernel.passes());
+    let clocks = [
+        clock("read"),
+        clock("normals"),
+        clock("cells"),
+        clock("sums"),
+        clock("sinks"),
+    ];
+    let [
+        read_clock,
+        normals_clock,
+        cells_clock,
+        sums_clock,
+        sinks_clock,
+    ] = &clocks;
+    let pass_clocks: Vec<_> = (1..=passes)
+        .map(|n| clock(&format!("refine {n}")))
+        .collect();
+    let pass_clocks = &pass_clocks;
+    let sink_clocks: Vec<_> = sinks.iter().map(|_| clock("sink")).collect();
+    let encoded_before = progress.measured.then(stats::global_pool_time);
+    let mut outcome = std::thread::scope(|scope| {
         let (planes_out, planes_in) = bounded(1);
         let (normals_out, normals_in) = bounded(1);
         let (cells_out, cells_in) = bounded(1);
@@ -85,9 +112,10 @@ pub fn run(
         /// Runs a stage; a failure wakes the others.
         fn stage<T>(
             shared: &Shared<'_>,
+            clock: &Clock,
             work: impl FnOnce() -> Result<T, Error>,
         ) -> Result<T, Error> {
-            let result = work();
+            let result = clock.stage(work);
             if result.is_err() {
                 shared.failed.store(true, Ordering::Relaxed);
             }
@@ -95,46 +123,48 @@ pub fn run(
         }
         // Each closure owns its ends of the channels, so they close when the stage returns.
         let reader = scope.spawn(move || {
-            stage(shared, || {
-                let counts = read(source, shared, planes_out)?;
+            stage(shared, read_clock, || {
+                let counts = read(source, shared, read_clock, planes_out)?;
                 // Nobody listens only if the sinks have failed, which they report themselves.
                 let _ = sound_out.send(());
                 Ok(counts)
             })
         });
         let normals = scope.spawn(move || {
-            stage(shared, || {
+            stage(shared, normals_clock, || {
                 let (planes_in, normals_out) = (planes_in, normals_out);
-                stages::normals(shared, &planes_in, &normals_out)
+                stages::normals(shared, normals_clock, &planes_in, &normals_out)
             })
         });
         let mut normals_in = normals_in;
         let mut passes = Vec::new();
         if let Some(kernel) = &shared.kernels.refinement {
-            for number in 0..kernel.passes() {
+            for (number, clock) in pass_clocks.iter().enumerate() {
                 let (refined_out, refined_in) = bounded(1);
                 let input = std::mem::replace(&mut normals_in, refined_in);
                 passes.push(scope.spawn(move || {
-                    stage(shared, || {
+                    stage(shared, clock, || {
                         let (input, refined_out) = (input, refined_out);
-                        refining::refine(shared, kernel, number, &input, &refined_out)
+                        refining::refine(shared, clock, kernel, number, &input, &refined_out)
                     })
                 }));
             }
         }
         let cells = scope.spawn(move || {
-            stage(shared, || {
+            stage(shared, cells_clock, || {
                 let (normals_in, cells_out) = (normals_in, cells_out);
-                stages::cells(shared, &normals_in, &cells_out)
+                stages::cells(shared, cells_clock, &normals_in, &cells_out)
             })
         });
         let sums = scope.spawn(move || {
-            stage(shared, || {
+            stage(shared, sums_clock, || {
                 let (cells_in, rows_out) = (cells_in, rows_out);
-                stages::sums(shared, &cells_in, &rows_out)
+                stages::sums(shared, sums_clock, &cells_in, &rows_out)
             })
         });
-        let sunk = stage(shared, || sending::sink(shared, rows_in, &sound_in, sinks));
+        let sunk = stage(shared, sinks_clock, || {
+            sending::sink(shared, sinks_clock, &sink_clocks, rows_in, &sound_in, sinks)
+        });
         let reader = joined(reader);
         let normals = joined(normals);
         // All are joined before any is looked at.
@@ -172,7 +202,23 @@ pub fn run(
             "all rows written"
         );
         Ok(outcome)
-    })
+    })?;
+    if let Some(before) = encoded_before {
+        sinks_clock.add_work(stats::global_pool_time().saturating_sub(before));
+        let (first, last) = clocks.split_at(2);
+        let clocks = first.iter().chain(pass_clocks).chain(last);
+        let [surfel_bytes, bits_bytes] = budget.most_used();
+        outcome.stats = Some(Stats {
+            seconds: started.elapsed().as_secs_f64(),
+            stages: clocks.map(Clock::stats).collect(),
+            sink_seconds: sink_clocks.iter().map(|c| c.stats().seconds).collect(),
+            memory: MemoryStats {
+                surfel_bytes,
+                bits_bytes,
+            },
+        });
+    }
+    Ok(outcome)
 }
 
 fn joined<T>(handle: std::thread::ScopedJoinHandle<'_, T>) -> T {

@@ -8,13 +8,14 @@ use crossbeam_channel::{Receiver, Sender};
 
 use crate::brick::{BrickGrid, SlabWindow};
 use crate::error::Error;
-use crate::sink::{Parts, SurfelBatch, SurfelSink};
+use crate::sink::{Parts, SinkError, SurfelBatch, SurfelSink};
 use crate::surfel::CellBox;
 
 use super::plan::COLUMN_BYTES;
 use super::rows::{self, BrickRows};
 use super::shared::Shared;
 use super::stages::MeasureSlab;
+use super::stats::{Clock, Wait};
 
 /// What goes to the sinks.
 pub(super) enum Rows {
@@ -68,8 +69,10 @@ pub(super) fn send_plane(
     computed: &[BrickRows],
     columns: &BTreeMap<[u32; 2], [Range<i32>; 2]>,
     plane: i32,
+    clock: &Clock,
     out: &Sender<Rows>,
 ) -> Result<(), ()> {
+    let send = |rows| clock.wait(Wait::Output, || out.send(rows)).map_err(|_| ());
     for ([cy, cx], [x, y]) in columns {
         let cells = CellBox {
             lo: [x.start, y.start, plane],
@@ -85,25 +88,35 @@ pub(super) fn send_plane(
         for (at, run) in runs {
             computed[at].append_to(&mut batch, run, shared);
         }
-        out.send(Rows::Batch(Box::new(batch))).map_err(|_| ())?;
+        send(Rows::Batch(Box::new(batch)))?;
     }
-    out.send(Rows::Passed(plane + 1)).map_err(|_| ())
+    send(Rows::Passed(plane + 1))
 }
 
 /// Last stage: hands the rows to the sinks.
 pub(super) fn sink(
     shared: &Shared<'_>,
+    clock: &Clock,
+    sink_clocks: &[Clock],
     input: Receiver<Rows>,
     sound: &Receiver<()>,
     sinks: &mut [&mut dyn SurfelSink],
 ) -> Result<(), Error> {
+    fn each(
+        sinks: &mut [&mut dyn SurfelSink],
+        clocks: &[Clock],
+        mut work: impl FnMut(&mut dyn SurfelSink) -> Result<(), SinkError>,
+    ) -> Result<(), SinkError> {
+        let mut clocked = sinks.iter_mut().zip(clocks);
+        clocked.try_for_each(|(sink, clock)| clock.stage(|| work(*sink)))
+    }
     let parts = Parts::new(shared.lattice.dims);
     // Columns with rows in a layer of parts. It is closed before the next one begins, so that only
     // columns of one layer are open.
     let mut open = BTreeSet::new();
     let mut layer = 0;
     let mut planes = 0;
-    while let Ok(rows) = input.recv() {
+    while let Ok(rows) = clock.wait(Wait::Input, || input.recv()) {
         if shared.stopped() {
             return Err(Error::Stopped);
         }
@@ -118,9 +131,7 @@ pub(super) fn sink(
                         needed_bytes: shared.plan.memory_bytes + 8 * more * COLUMN_BYTES,
                     });
                 }
-                for sink in sinks.iter_mut() {
-                    sink.write(&batch)?;
-                }
+                each(sinks, sink_clocks, |sink| sink.write(&batch))?;
                 shared
                     .progress
                     .rows_done
@@ -133,9 +144,7 @@ pub(super) fn sink(
                 if parts.layer_of(kz) > layer {
                     layer = parts.layer_of(kz);
                     for column in std::mem::take(&mut open) {
-                        for sink in sinks.iter_mut() {
-                            sink.advance(column, kz)?;
-                        }
+                        each(sinks, sink_clocks, |sink| sink.advance(column, kz))?;
                     }
                 }
             }
@@ -145,11 +154,9 @@ pub(super) fn sink(
         return Err(Error::Stopped);
     }
     // A checksum behind the last plane can still be wrong.
-    if sound.recv().is_err() {
+    if clock.wait(Wait::Input, || sound.recv()).is_err() {
         return Err(Error::Stopped);
     }
-    for sink in sinks.iter_mut() {
-        sink.finish()?;
-    }
+    each(sinks, sink_clocks, |sink| sink.finish())?;
     Ok(())
 }

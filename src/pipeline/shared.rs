@@ -23,6 +23,8 @@ pub struct Progress {
     pub planes_done: AtomicU64,
     /// Rows handed to the sinks.
     pub rows_done: AtomicU64,
+    /// Whether to measure what the stages spend: [`super::Outcome::stats`].
+    pub measured: bool,
 }
 
 /// What all stages share.

@@ -27,6 +27,7 @@ use super::reader::Plane;
 use super::rows::BrickRows;
 use super::sending::{Rows, columns_of, send_plane};
 use super::shared::Shared;
+use super::stats::{Clock, Wait};
 
 /// Surfels of a brick and their normals.
 #[derive(Debug)]
@@ -128,6 +129,7 @@ pub(super) fn grid(shared: &Shared<'_>) -> BrickGrid {
 /// Planes that have arrived and are still needed.
 struct Arrived<'a> {
     shared: &'a Shared<'a>,
+    clock: &'a Clock,
     input: &'a Receiver<Vec<Plane>>,
     window: PlaneWindow,
     /// The same planes as stored, if the normals ask for values.
@@ -147,7 +149,7 @@ impl Arrived<'_> {
     fn wait_for(&mut self, z: i32) -> Result<(), Error> {
         let depth = self.window.dims[2] as i32;
         while self.end() < z.min(depth) {
-            let Ok(planes) = self.input.recv() else {
+            let Ok(planes) = self.clock.wait(Wait::Input, || self.input.recv()) else {
                 return Err(Error::Stopped);
             };
             let before = self.end();
@@ -168,14 +170,20 @@ impl Arrived<'_> {
     }
 
     fn count(&mut self, planes: Range<i32>) {
-        let (window, lattice) = (&self.window, self.shared.lattice);
+        let (window, lattice, clock) = (&self.window, self.shared.lattice, self.clock);
         let counts: Vec<u64> = self.shared.pool.install(|| {
             planes
                 .into_par_iter()
-                .map(|z| SurfelIndex::count_plane(window, z, lattice))
+                .map(|z| clock.work(|| SurfelIndex::count_plane(window, z, lattice)))
                 .collect()
         });
         self.counts.extend(counts);
+    }
+
+    /// Memory of the planes from `z` on.
+    fn bytes_from(&self, z: i32) -> u64 {
+        let from = (z - self.window.z0).clamp(0, self.window.planes.len() as i32);
+        held_bytes(&self.window.planes[from as usize..])
     }
 
     /// Surfels of planes of cells, as far as they have arrived.
@@ -201,6 +209,12 @@ impl Arrived<'_> {
     }
 }
 
+/// Memory of planes; those without a voxel inside are one.
+fn held_bytes(planes: &[Arc<BitPlane>]) -> u64 {
+    let held = planes.iter().filter(|plane| !plane.is_outside());
+    held.map(|plane| plane.bytes() as u64).sum()
+}
+
 /// What the stage of the normals counts on the way.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Found {
@@ -214,6 +228,7 @@ pub(super) struct Found {
 /// Second stage: extracts the surfels of each slab and estimates their normals.
 pub(super) fn normals(
     shared: &Shared<'_>,
+    clock: &Clock,
     input: &Receiver<Vec<Plane>>,
     out: &Sender<Arc<NormalSlab>>,
 ) -> Result<Found, Error> {
@@ -223,6 +238,7 @@ pub(super) fn normals(
     let reach = shared.kernels.normals.reach()[2] + 1;
     let mut arrived = Arrived {
         shared,
+        clock,
         input,
         window: PlaneWindow {
             dims,
@@ -247,10 +263,11 @@ pub(super) fn normals(
     while z < depth {
         arrived.wait_for(z + shared.plan.slab_planes + ahead)?;
         let (end, surfels) = choose_slab(shared, &grid, &arrived, &mut slabs, &indices, z)?;
-        let Some(grant) = shared
-            .budget
-            .take(surfels * shared.plan.surfel_bytes, || shared.stopped())
-        else {
+        let bytes = surfels * shared.plan.surfel_bytes;
+        let taken = clock.wait(Wait::Memory, || {
+            shared.budget.take(bytes, || shared.stopped())
+        });
+        let Some(mut grant) = taken else {
             return Err(Error::Stopped);
         };
         let window = &arrived.window;
@@ -267,7 +284,8 @@ pub(super) fn normals(
             numbers
                 .into_par_iter()
                 .filter_map(|number| {
-                    let brick = normal_brick(shared, &around, grid.core(number, &(z..end)))?;
+                    let core = grid.core(number, &(z..end));
+                    let brick = clock.work(|| normal_brick(shared, &around, core))?;
                     Some((number, brick))
                 })
                 .unzip()
@@ -283,7 +301,7 @@ pub(super) fn normals(
         let counted: Vec<SolidCounts> = shared.pool.install(|| {
             blocks
                 .into_par_iter()
-                .map(|z| SolidCounts::of_plane(window, z))
+                .map(|z| clock.work(|| SolidCounts::of_plane(window, z)))
                 .collect()
         });
         counted.iter().for_each(|c| found.solid.add(c));
@@ -292,6 +310,11 @@ pub(super) fn normals(
             .surfels_found
             .fetch_add(surfels, Ordering::Relaxed);
         let planes = window.narrowed(z..end).planes;
+        let index = bricks.iter().map(|brick| brick.index.bytes() as u64);
+        grant.note_beside(
+            held_bytes(&planes) + index.sum::<u64>(),
+            arrived.bytes_from(end),
+        );
         tracing::debug!(from = z, to = end, surfels, "slab has normals");
         let slab = NormalSlab {
             z: z..end,
@@ -300,7 +323,8 @@ pub(super) fn normals(
             bricks,
             grant: Arc::new(grant),
         };
-        if shared.stopped() || out.send(Arc::new(slab)).is_err() {
+        let slab = Arc::new(slab);
+        if shared.stopped() || clock.wait(Wait::Output, || out.send(slab)).is_err() {
             return Err(Error::Stopped);
         }
         slabs.push_back(z..end);
@@ -489,6 +513,7 @@ fn asked(shared: &Shared<'_>) -> Asked {
 /// Third stage: measures of cells, with the normals of the surfels around.
 pub(super) fn cells(
     shared: &Shared<'_>,
+    clock: &Clock,
     input: &Receiver<Arc<NormalSlab>>,
     out: &Sender<MeasureSlab>,
 ) -> Result<CellTotals, Error> {
@@ -505,7 +530,7 @@ pub(super) fn cells(
             {
                 break slab;
             }
-            match input.recv() {
+            match clock.wait(Wait::Input, || input.recv()) {
                 Ok(next) => window.push(next),
                 Err(_) => return Err(Error::Stopped),
             }
@@ -518,7 +543,7 @@ pub(super) fn cells(
                         return Default::default();
                     }
                     let core = grid.core(number, &slab.z);
-                    measure_brick(shared, &grid, &window, &voxels, core)
+                    clock.work(|| measure_brick(shared, &grid, &window, &voxels, core))
                 })
                 .collect()
         });
@@ -529,14 +554,11 @@ pub(super) fn cells(
         }
         let end = slab.z.end;
         tracing::debug!(from = z, to = end, "slab has measures");
-        if shared.stopped()
-            || out
-                .send(MeasureSlab {
-                    normals: slab,
-                    measures,
-                })
-                .is_err()
-        {
+        let slab = MeasureSlab {
+            normals: slab,
+            measures,
+        };
+        if shared.stopped() || clock.wait(Wait::Output, || out.send(slab)).is_err() {
             return Err(Error::Stopped);
         }
         z = end;
@@ -578,6 +600,7 @@ fn measure_brick(
 /// Fourth stage: sums over balls, curvatures, rows.
 pub(super) fn sums(
     shared: &Shared<'_>,
+    clock: &Clock,
     input: &Receiver<MeasureSlab>,
     out: &Sender<Rows>,
 ) -> Result<(), Error> {
@@ -593,7 +616,7 @@ pub(super) fn sums(
             {
                 break slab;
             }
-            match input.recv() {
+            match clock.wait(Wait::Input, || input.recv()) {
                 Ok(next) => window.push(Arc::new(next)),
                 Err(_) => return Err(Error::Stopped),
             }
@@ -606,7 +629,7 @@ pub(super) fn sums(
                     if shared.stopped() {
                         return BrickRows::default();
                     }
-                    row_brick(shared, &grid, &window, &voxels, &slab, at)
+                    clock.work(|| row_brick(shared, &grid, &window, &voxels, &slab, at))
                 })
                 .collect()
         });
@@ -615,7 +638,7 @@ pub(super) fn sums(
         }
         let columns = columns_of(shared, &grid, slab.numbers());
         for plane in slab.z() {
-            if send_plane(shared, &grid, &window, &rows, &columns, plane, out).is_err() {
+            if send_plane(shared, &grid, &window, &rows, &columns, plane, clock, out).is_err() {
                 return Err(Error::Stopped);
             }
         }

@@ -6,6 +6,7 @@
 
 use std::ops::Range;
 
+use crate::dispatch::{Work, dispatch};
 use crate::khalimsky::{Direction, OrientedSurfel};
 use crate::lattice::Lattice;
 use crate::volume::{BitBox, PlaneWindow};
@@ -85,80 +86,11 @@ impl SurfelIndex {
     /// `cells.hi`, at least.
     #[must_use]
     pub fn find(bits: &BitBox, cells: CellBox, lattice: &Lattice) -> Self {
-        let size = cells.size();
-        let words_per_row = (size[0] as usize).div_ceil(64);
-        let rows = 3 * (size[1] * size[2]) as usize;
-        let mut words = vec![0u64; rows * words_per_row];
-        let x0 = (cells.lo[0] - bits.lo()[0]) as usize;
-        // Bits of cells that may own a surfel along x, and along y and z, in each word of a row.
-        let masks = |lo: i32, hi: i32| -> Vec<u64> {
-            (0..words_per_row)
-                .map(|w| {
-                    let first = cells.lo[0] + 64 * w as i32;
-                    let from = (lo - first).clamp(0, 64) as u32;
-                    let to = (hi.min(cells.hi[0]) - first).clamp(0, 64) as u32;
-                    low_bits(to) & !low_bits(from)
-                })
-                .collect()
-        };
-        let dims = lattice.dims.map(|n| n as i32);
-        // On an open image no surfel lies on the border: cell 0 owns none along the axis.
-        let first = i32::from(!lattice.closed);
-        let end = dims.map(|n| n + i32::from(lattice.closed));
-        let along_x = masks(first, end[0]);
-        let across_x = masks(0, dims[0]);
-        let plane_words = 3 * size[1] as usize * words_per_row;
-        let mut total = 0u32;
-        let mut rank = Vec::with_capacity(words.len() + 1);
-        for (dz, plane) in words.chunks_exact_mut(plane_words.max(1)).enumerate() {
-            let z = cells.lo[2] + dz as i32;
-            let z_owns = (first..end[2]).contains(&z);
-            let z_exists = z < dims[2];
-            let (z_rows, yx_rows) = plane.split_at_mut(size[1] as usize * words_per_row);
-            for dy in 0..size[1] as usize {
-                let y = cells.lo[1] + dy as i32;
-                let here = bits.row(y, z);
-                if z_owns && y < dims[1] {
-                    let below = bits.row(y, z - 1);
-                    for (w, out) in z_rows[dy * words_per_row..][..words_per_row]
-                        .iter_mut()
-                        .enumerate()
-                    {
-                        let x = x0 + 64 * w;
-                        *out = (BitBox::bits(here, x) ^ BitBox::bits(below, x)) & across_x[w];
-                    }
-                }
-                if !z_exists {
-                    continue;
-                }
-                let pair = &mut yx_rows[2 * dy * words_per_row..][..2 * words_per_row];
-                if (first..end[1]).contains(&y) {
-                    let before = bits.row(y - 1, z);
-                    for w in 0..words_per_row {
-                        let x = x0 + 64 * w;
-                        pair[w] = (BitBox::bits(here, x) ^ BitBox::bits(before, x)) & across_x[w];
-                    }
-                }
-                if y < dims[1] {
-                    for w in 0..words_per_row {
-                        let x = x0 + 64 * w;
-                        pair[words_per_row + w] =
-                            (BitBox::bits(here, x) ^ BitBox::bits(here, x - 1)) & along_x[w];
-                    }
-                }
-            }
-        }
-        for word in &words {
-            rank.push(total);
-            total += word.count_ones();
-        }
-        rank.push(total);
-        Self {
+        dispatch(Find {
+            bits,
             cells,
-            words_per_row,
-            words,
-            rank,
-        }
+            lattice,
+        })
     }
 
     /// Number of surfels.
@@ -314,21 +246,136 @@ impl SurfelIndex {
             lattice.closed,
             &mut |lo, hi, known| {
                 if known.is_none() {
-                    count += Self::count_rows(window, lo, hi, z, lattice);
+                    let rows = CountRows {
+                        window,
+                        lo,
+                        hi,
+                        z,
+                        lattice,
+                    };
+                    count += dispatch(rows);
                 }
             },
         );
         count
     }
+}
 
-    /// Surfels of the cells `lo <= c < hi` of a plane; `lo[0]` is a multiple of 64.
-    fn count_rows(
-        window: &PlaneWindow,
-        lo: [i32; 2],
-        hi: [i32; 2],
-        z: i32,
-        lattice: &Lattice,
-    ) -> u64 {
+/// Finds the surfels of an index.
+struct Find<'a> {
+    bits: &'a BitBox,
+    cells: CellBox,
+    lattice: &'a Lattice,
+}
+
+impl Work for Find<'_> {
+    type Output = SurfelIndex;
+
+    #[inline(always)]
+    fn run(self) -> SurfelIndex {
+        let Self {
+            bits,
+            cells,
+            lattice,
+        } = self;
+        let size = cells.size();
+        let words_per_row = (size[0] as usize).div_ceil(64);
+        let rows = 3 * (size[1] * size[2]) as usize;
+        let mut words = vec![0u64; rows * words_per_row];
+        let x0 = (cells.lo[0] - bits.lo()[0]) as usize;
+        // Bits of cells that may own a surfel along x, and along y and z, in each word of a row.
+        let masks = |lo: i32, hi: i32| -> Vec<u64> {
+            (0..words_per_row)
+                .map(|w| {
+                    let first = cells.lo[0] + 64 * w as i32;
+                    let from = (lo - first).clamp(0, 64) as u32;
+                    let to = (hi.min(cells.hi[0]) - first).clamp(0, 64) as u32;
+                    low_bits(to) & !low_bits(from)
+                })
+                .collect()
+        };
+        let dims = lattice.dims.map(|n| n as i32);
+        // On an open image no surfel lies on the border: cell 0 owns none along the axis.
+        let first = i32::from(!lattice.closed);
+        let end = dims.map(|n| n + i32::from(lattice.closed));
+        let along_x = masks(first, end[0]);
+        let across_x = masks(0, dims[0]);
+        let plane_words = 3 * size[1] as usize * words_per_row;
+        let mut total = 0u32;
+        let mut rank = Vec::with_capacity(words.len() + 1);
+        for (dz, plane) in words.chunks_exact_mut(plane_words.max(1)).enumerate() {
+            let z = cells.lo[2] + dz as i32;
+            let z_owns = (first..end[2]).contains(&z);
+            let z_exists = z < dims[2];
+            let (z_rows, yx_rows) = plane.split_at_mut(size[1] as usize * words_per_row);
+            for dy in 0..size[1] as usize {
+                let y = cells.lo[1] + dy as i32;
+                let here = bits.row(y, z);
+                if z_owns && y < dims[1] {
+                    let below = bits.row(y, z - 1);
+                    for (w, out) in z_rows[dy * words_per_row..][..words_per_row]
+                        .iter_mut()
+                        .enumerate()
+                    {
+                        let x = x0 + 64 * w;
+                        *out = (BitBox::bits(here, x) ^ BitBox::bits(below, x)) & across_x[w];
+                    }
+                }
+                if !z_exists {
+                    continue;
+                }
+                let pair = &mut yx_rows[2 * dy * words_per_row..][..2 * words_per_row];
+                if (first..end[1]).contains(&y) {
+                    let before = bits.row(y - 1, z);
+                    for w in 0..words_per_row {
+                        let x = x0 + 64 * w;
+                        pair[w] = (BitBox::bits(here, x) ^ BitBox::bits(before, x)) & across_x[w];
+                    }
+                }
+                if y < dims[1] {
+                    for w in 0..words_per_row {
+                        let x = x0 + 64 * w;
+                        pair[words_per_row + w] =
+                            (BitBox::bits(here, x) ^ BitBox::bits(here, x - 1)) & along_x[w];
+                    }
+                }
+            }
+        }
+        for word in &words {
+            rank.push(total);
+            total += word.count_ones();
+        }
+        rank.push(total);
+        SurfelIndex {
+            cells,
+            words_per_row,
+            words,
+            rank,
+        }
+    }
+}
+
+/// Counts the surfels of the cells `lo <= c < hi` of a plane; `lo[0]` is a multiple of 64.
+struct CountRows<'a> {
+    window: &'a PlaneWindow,
+    lo: [i32; 2],
+    hi: [i32; 2],
+    z: i32,
+    lattice: &'a Lattice,
+}
+
+impl Work for CountRows<'_> {
+    type Output = u64;
+
+    #[inline(always)]
+    fn run(self) -> u64 {
+        let Self {
+            window,
+            lo,
+            hi,
+            z,
+            lattice,
+        } = self;
         let dims = lattice.dims.map(|n| n as i32);
         // One word before, for its last voxel.
         let skipped = usize::from(lo[0] > 0);
@@ -385,7 +432,7 @@ impl SurfelIndex {
 }
 
 /// The `n` lowest bits, `n <= 64`.
-#[inline]
+#[inline(always)]
 fn low_bits(n: u32) -> u64 {
     if n >= 64 { !0 } else { (1 << n) - 1 }
 }
@@ -457,6 +504,88 @@ impl Surfels {
         OrientedSurfel {
             inner: k.map(|k| k >> 1),
             orientation,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::brick::BrickGrid;
+    use crate::volume::{BitPlane, SolidCounts};
+
+    /// Planes with a box of inside voxels and its opposite, with what is known of their squares or without.
+    fn window(lo: [u32; 3], hi: [u32; 3], opposite: bool, known: bool) -> PlaneWindow {
+        let dims = [150, 130, 3];
+        let planes = (0..dims[2]).map(|z| {
+            let mut words = vec![0u64; 3 * dims[1] as usize];
+            for y in 0..dims[1] {
+                for x in 0..dims[0] {
+                    let inside = (0..3).all(|a| (lo[a]..hi[a]).contains(&[x, y, z][a]));
+                    let word = &mut words[(3 * y + x / 64) as usize];
+                    *word |= u64::from(inside != opposite) << (x % 64);
+                }
+            }
+            let mut plane = BitPlane::from_rows(dims[0], words);
+            if !known {
+                let _ = plane.rows_mut();
+            }
+            Arc::new(plane)
+        });
+        PlaneWindow {
+            dims,
+            z0: 0,
+            planes: planes.collect(),
+        }
+    }
+
+    #[test]
+    fn what_is_known_of_squares_does_not_show() {
+        for (lo, hi) in [
+            ([0; 3], [0; 3]),
+            ([0; 3], [150, 130, 3]),
+            ([64, 64, 1], [128, 128, 2]),
+            ([63, 0, 0], [65, 1, 3]),
+            ([149, 129, 2], [150, 130, 3]),
+            ([0, 64, 0], [150, 128, 2]),
+        ] {
+            for opposite in [false, true] {
+                let [plain, known] = [false, true].map(|known| window(lo, hi, opposite, known));
+                for z in 0..=3 {
+                    let counts = [&plain, &known].map(|window| SolidCounts::of_plane(window, z));
+                    assert_eq!(counts[0], counts[1], "{lo:?} {hi:?} {opposite} {z}");
+                }
+                for closed in [false, true] {
+                    let lattice = Lattice::new([150, 130, 3], [1.0; 3], closed).unwrap();
+                    let grid = BrickGrid {
+                        cell_dims: lattice.cell_dims(),
+                        edge: 24,
+                    };
+                    let mut held = 0;
+                    for z in 0..grid.cell_dims[2] {
+                        let counts =
+                            [&plain, &known].map(|w| SurfelIndex::count_plane(w, z, &lattice));
+                        assert_eq!(counts[0], counts[1], "{lo:?} {hi:?} {opposite} {z}");
+                        held += counts[0];
+                    }
+                    // Every surfel is in a brick that is looked into.
+                    let z = 0..grid.cell_dims[2];
+                    let bricks = grid.occupied(&known, z.clone(), closed).into_iter();
+                    let found = bricks.map(|number| {
+                        let core = grid.core(number, &z);
+                        let (lo, hi) = (core.lo.map(|c| c - 1), core.hi.map(|c| c + 1));
+                        let bits = BitBox::cut(&known, lo, hi);
+                        SurfelIndex::find(&bits, core, &lattice).len() as u64
+                    });
+                    assert_eq!(
+                        found.sum::<u64>(),
+                        held,
+                        "{lo:?} {hi:?} {opposite} {closed}"
+                    );
+                }
+            }
         }
     }
 }

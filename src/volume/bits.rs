@@ -3,8 +3,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use rayon::slice::ParallelSliceMut;
-
+use super::squares::Squares;
 use super::tiles::{Content, TileMap};
 
 /// One plane of the image, one bit a voxel, x fastest.
@@ -17,6 +16,8 @@ enum Held {
     Rows {
         words: Vec<u64>,
         words_per_row: usize,
+        /// None once rows were handed out to be changed.
+        squares: Option<Squares>,
     },
     /// A word for each row of each tile that the map keeps.
     Tiles { map: Arc<TileMap>, words: Vec<u64> },
@@ -35,9 +36,11 @@ impl BitPlane {
     pub fn from_rows(dims_x: u32, words: Vec<u64>) -> Self {
         let words_per_row = (dims_x as usize).div_ceil(64);
         debug_assert!(words.len().is_multiple_of(words_per_row));
+        let squares = Some(Squares::of(dims_x, &words));
         Self(Held::Rows {
             words,
             words_per_row,
+            squares,
         })
     }
 
@@ -49,11 +52,37 @@ impl BitPlane {
         Self(Held::Tiles { map, words })
     }
 
-    /// The map of a plane in tiles.
-    fn map(&self) -> Option<&Arc<TileMap>> {
+    /// What is known of parts of the plane.
+    fn layer(&self) -> Option<Layer<'_>> {
         match &self.0 {
-            Held::Rows { .. } => None,
-            Held::Tiles { map, .. } => Some(map),
+            Held::Rows { squares, .. } => squares.as_ref().map(Layer::Rows),
+            Held::Tiles { map, .. } => Some(Layer::Tiles(map)),
+        }
+    }
+
+    /// Whether no voxel is inside, as far as that is known without looking at them.
+    #[must_use]
+    pub fn is_outside(&self) -> bool {
+        match &self.0 {
+            Held::Rows { squares, .. } => squares.as_ref().is_some_and(Squares::are_outside),
+            Held::Tiles { .. } => false,
+        }
+    }
+
+    /// The words of all rows of a plane that is not in tiles, to be used again; none of a plane in tiles.
+    #[must_use]
+    pub fn into_words(self) -> Vec<u64> {
+        match self.0 {
+            Held::Rows { words, .. } => words,
+            Held::Tiles { .. } => Vec::new(),
+        }
+    }
+
+    /// Memory held, without that of the map of a plane in tiles.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        match &self.0 {
+            Held::Rows { words, .. } | Held::Tiles { words, .. } => size_of_val(&words[..]),
         }
     }
 
@@ -64,6 +93,7 @@ impl BitPlane {
             Held::Rows {
                 words: all,
                 words_per_row,
+                ..
             } => {
                 let row = &all[y * words_per_row..(y + 1) * words_per_row];
                 &row[words.start.min(row.len())..words.end.min(row.len())]
@@ -90,32 +120,21 @@ impl BitPlane {
         }
     }
 
-    /// All rows of a plane that is not in tiles, to be filled in parallel; bits past the last voxel
-    /// of a row must stay zero.
-    ///
-    /// # Panics
-    /// If the plane is in tiles.
-    pub fn par_rows_mut(&mut self) -> rayon::slice::ChunksExactMut<'_, u64> {
-        let (words, words_per_row) = self.words_mut();
-        words.par_chunks_exact_mut(words_per_row)
-    }
-
     /// All rows of a plane that is not in tiles, to be filled; bits past the last voxel of a row
     /// must stay zero.
     ///
     /// # Panics
     /// If the plane is in tiles.
     pub fn rows_mut(&mut self) -> std::slice::ChunksExactMut<'_, u64> {
-        let (words, words_per_row) = self.words_mut();
-        words.chunks_exact_mut(words_per_row)
-    }
-
-    fn words_mut(&mut self) -> (&mut [u64], usize) {
         match &mut self.0 {
             Held::Rows {
                 words,
                 words_per_row,
-            } => (words, *words_per_row),
+                squares,
+            } => {
+                *squares = None;
+                words.chunks_exact_mut(*words_per_row)
+            }
             Held::Tiles { .. } => panic!("a plane in tiles is made from its words"),
         }
     }
@@ -177,8 +196,8 @@ impl PlaneWindow {
     /// Cuts the cells `lo <= c < hi` of the planes `z` into rectangles, each with what is known of
     /// the voxels around its cells, before any is looked at: the voxels from one before the first
     /// cell on, along each axis. `Some` says that they are all inside, or all outside. `None` says
-    /// nothing; of planes in tiles such a rectangle is one square of a grid of `grain` cells, which
-    /// begins at `lo`.
+    /// nothing; where that is known of other parts of the planes, such a rectangle is some squares
+    /// beside each other of a grid of `grain` cells, which begins at `lo`.
     ///
     /// Voxels beyond the image are outside with `border`, and otherwise left out.
     pub fn rectangles(
@@ -191,21 +210,44 @@ impl PlaneWindow {
         found: &mut impl FnMut([i32; 2], [i32; 2], Option<bool>),
     ) {
         let layers = self.layers(z.start - 1..z.end, border);
-        self.split(&layers, [lo, hi], grain, border, found);
+        // Squares of unknown content come from left to right, and are joined as far as they touch.
+        let mut joined: Option<[[i32; 2]; 2]> = None;
+        self.split(&layers, [lo, hi], grain, border, &mut |lo, hi, known| {
+            if known.is_some() {
+                return found(lo, hi, known);
+            }
+            match &mut joined {
+                Some([from, to]) if [to[0], from[1], to[1]] == [lo[0], lo[1], hi[1]] => {
+                    to[0] = hi[0];
+                }
+                _ => {
+                    if let Some([from, to]) = joined.replace([lo, hi]) {
+                        found(from, to, None);
+                    }
+                }
+            }
+        });
+        if let Some([from, to]) = joined {
+            found(from, to, None);
+        }
     }
 
-    /// What is known of the planes `z`; `None` if one is not in tiles.
+    /// What is known of the planes `z`; `None` if nothing is known of one.
     fn layers(&self, z: Range<i32>, border: bool) -> Option<Layers<'_>> {
         let held = z.start.max(0)..z.end.min(self.dims[2] as i32);
-        let mut maps: Vec<&TileMap> = Vec::new();
+        let mut planes: Vec<Layer<'_>> = Vec::new();
         for at in held.clone() {
-            let map: &TileMap = self.plane(at)?.map()?;
-            if !maps.last().is_some_and(|last| std::ptr::eq(*last, map)) {
-                maps.push(map);
+            let layer = self.plane(at)?.layer()?;
+            let again = match (planes.last(), &layer) {
+                (Some(Layer::Tiles(last)), Layer::Tiles(map)) => std::ptr::eq(*last, *map),
+                _ => false,
+            };
+            if !again {
+                planes.push(layer);
             }
         }
         Some(Layers {
-            maps,
+            planes,
             leaves: border && held != z,
         })
     }
@@ -248,8 +290,8 @@ impl PlaneWindow {
         let mut all = (layers.leaves || border && leaves).then_some(false);
         if from[0] < to[0] && from[1] < to[1] {
             let [x, y] = [0, 1].map(|a| from[a] as u32..to[a] as u32);
-            for map in &layers.maps {
-                let here = map.known(&x, &y)?;
+            for layer in &layers.planes {
+                let here = layer.known(&x, &y)?;
                 if *all.get_or_insert(here) != here {
                     return None;
                 }
@@ -272,10 +314,26 @@ impl PlaneWindow {
     }
 }
 
-/// The maps of some planes.
+/// What is known of parts of one plane, or of planes with one map.
+enum Layer<'a> {
+    Rows(&'a Squares),
+    Tiles(&'a TileMap),
+}
+
+impl Layer<'_> {
+    /// Whether all voxels of a box are known to be inside, or outside.
+    fn known(&self, x: &Range<u32>, y: &Range<u32>) -> Option<bool> {
+        match self {
+            Layer::Rows(squares) => squares.known(x, y),
+            Layer::Tiles(map) => map.known(x, y),
+        }
+    }
+}
+
+/// What is known of some planes.
 struct Layers<'a> {
-    /// Each once, as far as they follow each other.
-    maps: Vec<&'a TileMap>,
+    /// Each map once, as far as planes with the same follow each other.
+    planes: Vec<Layer<'a>>,
     /// Whether planes beyond the image count, which are outside.
     leaves: bool,
 }

@@ -11,6 +11,8 @@ use std::str::FromStr;
 use curvox_formats::{ByteOrder, Scaling, VoxelType};
 use half::f16;
 
+use crate::dispatch::{Work, dispatch};
+
 /// A number as typed: whole numbers keep all their digits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Number {
@@ -245,96 +247,207 @@ impl Binarizer {
     /// Packs a row of stored voxels into `out`, bit 0 of word 0 first, and gives the number of
     /// NaNs met. `out` must have a word for every 64 voxels, rounded up.
     pub fn pack_row(&self, row: &[u8], out: &mut [u64]) -> u64 {
+        dispatch(PackRow {
+            binarizer: self,
+            row,
+            out,
+        })
+    }
+
+    /// The `f32` that are inside, as a closed interval; empty if the first exceeds the second.
+    fn stored_f32(&self) -> (f32, f32) {
+        // The smallest that is not below, and the largest that is not above.
+        let ceil = |x: f64| {
+            let nearest = x as f32;
+            if f64::from(nearest) < x {
+                nearest.next_up()
+            } else {
+                nearest
+            }
+        };
+        let floor = |x: f64| {
+            let nearest = x as f32;
+            if f64::from(nearest) > x {
+                nearest.next_down()
+            } else {
+                nearest
+            }
+        };
+        match self.criterion {
+            Criterion::AtLeast(t) => (ceil(t.real), f32::INFINITY),
+            // Nothing is below the lowest.
+            Criterion::Below(t) if t.real == f64::NEG_INFINITY => (0.0, f32::NEG_INFINITY),
+            Criterion::Below(t) => (f32::NEG_INFINITY, ceil(t.real).next_down()),
+            Criterion::Between(a, b) => (ceil(a.real), floor(b.real)),
+            Criterion::Label(n) => (ceil(n.real), floor(n.real)),
+        }
+    }
+}
+
+/// A row to be packed.
+struct PackRow<'a> {
+    binarizer: &'a Binarizer,
+    row: &'a [u8],
+    out: &'a mut [u64],
+}
+
+impl Work for PackRow<'_> {
+    type Output = u64;
+
+    #[inline(always)]
+    fn run(self) -> u64 {
+        let Self {
+            binarizer,
+            row,
+            out,
+        } = self;
         macro_rules! integer {
-            ($type:ty) => {{
-                if self.stored.0 > self.stored.1 {
+            ($type:ty, $distance:ty) => {{
+                let (lo, hi) = binarizer.stored;
+                if lo > hi {
                     out.fill(0);
                     return 0;
                 }
                 // within the limits of the type by construction
-                let (lo, hi) = (self.stored.0 as $type, self.stored.1 as $type);
+                let (lo, hi) = (lo as $type, hi as $type);
+                let width = hi.wrapping_sub(lo) as $distance;
                 const BYTES: usize = size_of::<$type>();
-                let inside = |v: $type| (v >= lo) & (v <= hi);
-                if self.big_endian && BYTES > 1 {
-                    pack::<BYTES>(row, out, |b| inside(<$type>::from_be_bytes(b)));
+                // one comparison instead of two: what is below `lo` wraps to far above
+                let inside = |v: $type| v.wrapping_sub(lo) as $distance <= width;
+                if binarizer.big_endian && BYTES > 1 {
+                    pack::<BYTES>(row, out, |b| inside(<$type>::from_be_bytes(b)), |_| false)
                 } else {
-                    pack::<BYTES>(row, out, |b| inside(<$type>::from_le_bytes(b)));
+                    pack::<BYTES>(row, out, |b| inside(<$type>::from_le_bytes(b)), |_| false)
                 }
-                0
             }};
         }
         macro_rules! float {
             ($type:ty, $to_f64:expr) => {{
                 const BYTES: usize = size_of::<$type>();
-                let big = self.big_endian;
-                let value = move |b: [u8; BYTES]| -> f64 {
-                    $to_f64(if big {
-                        <$type>::from_be_bytes(b)
-                    } else {
-                        <$type>::from_le_bytes(b)
-                    })
-                };
-                self.pack_floats(row, out, value)
+                if binarizer.big_endian {
+                    let value = |b: [u8; BYTES]| -> f64 { $to_f64(<$type>::from_be_bytes(b)) };
+                    pack_floats(binarizer, row, out, value)
+                } else {
+                    let value = |b: [u8; BYTES]| -> f64 { $to_f64(<$type>::from_le_bytes(b)) };
+                    pack_floats(binarizer, row, out, value)
+                }
             }};
         }
-        match self.voxel {
-            VoxelType::Bool | VoxelType::U8 => integer!(u8),
-            VoxelType::I8 => integer!(i8),
-            VoxelType::U16 => integer!(u16),
-            VoxelType::I16 => integer!(i16),
-            VoxelType::U32 => integer!(u32),
-            VoxelType::I32 => integer!(i32),
-            VoxelType::U64 => integer!(u64),
-            VoxelType::I64 => integer!(i64),
+        match binarizer.voxel {
+            VoxelType::Bool | VoxelType::U8 => integer!(u8, u8),
+            VoxelType::I8 => integer!(i8, u8),
+            VoxelType::U16 => integer!(u16, u16),
+            VoxelType::I16 => integer!(i16, u16),
+            VoxelType::U32 => integer!(u32, u32),
+            VoxelType::I32 => integer!(i32, u32),
+            VoxelType::U64 => integer!(u64, u64),
+            VoxelType::I64 => integer!(i64, u64),
             VoxelType::F16 => float!(f16, f64::from),
+            VoxelType::F32 if binarizer.scaling.is_none() => {
+                // Compared as they are stored, twice as many at a time.
+                let (lo, hi) = binarizer.stored_f32();
+                let inside = |v: f32| (v >= lo) & (v <= hi);
+                if binarizer.big_endian {
+                    let value = |b: [u8; 4]| f32::from_be_bytes(b);
+                    pack::<4>(row, out, |b| inside(value(b)), |b| value(b).is_nan())
+                } else {
+                    let value = |b: [u8; 4]| f32::from_le_bytes(b);
+                    pack::<4>(row, out, |b| inside(value(b)), |b| value(b).is_nan())
+                }
+            }
             VoxelType::F32 => float!(f32, f64::from),
             VoxelType::F64 => float!(f64, |x| x),
         }
     }
+}
 
-    fn pack_floats<const BYTES: usize>(
-        &self,
-        row: &[u8],
-        out: &mut [u64],
-        value: impl Fn([u8; BYTES]) -> f64 + Copy,
-    ) -> u64 {
-        match (self.scaling, self.criterion) {
-            (None, Criterion::AtLeast(t)) => {
-                let t = t.real;
-                pack::<BYTES>(row, out, |b| value(b) >= t);
-            }
-            (None, criterion) => pack::<BYTES>(row, out, |b| criterion.holds(value(b))),
-            (Some(s), criterion) => {
-                pack::<BYTES>(row, out, |b| {
-                    criterion.holds(s.slope * value(b) + s.intercept)
-                });
-            }
+#[inline(always)]
+fn pack_floats<const BYTES: usize>(
+    binarizer: &Binarizer,
+    row: &[u8],
+    out: &mut [u64],
+    value: impl Fn([u8; BYTES]) -> f64 + Copy,
+) -> u64 {
+    let is_nan = |b| value(b).is_nan();
+    match (binarizer.scaling, binarizer.criterion) {
+        (None, Criterion::AtLeast(t)) => {
+            let t = t.real;
+            pack::<BYTES>(row, out, |b| value(b) >= t, is_nan)
         }
-        row.as_chunks::<BYTES>()
-            .0
-            .iter()
-            .map(|&b| u64::from(value(b).is_nan()))
-            .sum()
+        (None, criterion) => pack::<BYTES>(row, out, |b| criterion.holds(value(b)), is_nan),
+        (Some(s), criterion) => pack::<BYTES>(
+            row,
+            out,
+            |b| criterion.holds(s.slope * value(b) + s.intercept),
+            is_nan,
+        ),
     }
 }
 
-/// One bit a voxel.
-#[inline]
-fn pack<const BYTES: usize>(row: &[u8], out: &mut [u64], inside: impl Fn([u8; BYTES]) -> bool) {
+/// Voxels that are looked at together. Fewer take longer where all are alike; more are alike less often.
+const LOOK: usize = 256;
+
+/// One bit a voxel; gives how many are no number.
+#[inline(always)]
+fn pack<const BYTES: usize>(
+    row: &[u8],
+    out: &mut [u64],
+    inside: impl Fn([u8; BYTES]) -> bool,
+    is_nan: impl Fn([u8; BYTES]) -> bool,
+) -> u64 {
     let voxels = row.as_chunks::<BYTES>().0;
-    for (chunk, word) in voxels.chunks(64).zip(out) {
-        // Flags first: the comparison of a whole chunk is vectorised, then eight flags at a time
-        // are gathered by a multiplication that moves bit 0 of byte i to bit 56 + i.
-        let mut flags = [0u8; 64];
-        for (flag, &voxel) in flags.iter_mut().zip(chunk) {
-            *flag = u8::from(inside(voxel));
+    let mut nan = 0;
+    for (chunk, words) in voxels.chunks(LOOK).zip(out.chunks_mut(LOOK / 64)) {
+        // Voxels that are all alike are by far the most, and are told faster than packed.
+        let (mut all, mut any, mut of_chunk) = (true, false, 0u32);
+        for &voxel in chunk {
+            let inside = inside(voxel);
+            all &= inside;
+            any |= inside;
+            of_chunk += u32::from(is_nan(voxel));
         }
-        *word = 0;
-        for (i, eight) in flags.as_chunks::<8>().0.iter().enumerate() {
-            let bits = u64::from_le_bytes(*eight).wrapping_mul(0x0102_0408_1020_4080) >> 56;
-            *word |= bits << (8 * i);
+        nan += u64::from(of_chunk);
+        if !any {
+            words.fill(0);
+            continue;
+        }
+        let (whole, rest) = chunk.as_chunks::<64>();
+        if all && rest.is_empty() {
+            words.fill(!0);
+            continue;
+        }
+        for (chunk, word) in whole.iter().zip(&mut *words) {
+            *word = packed(chunk, &inside);
+        }
+        if let Some(word) = words.get_mut(whole.len())
+            && !rest.is_empty()
+        {
+            let mut last = [[0; BYTES]; 64];
+            last[..rest.len()].copy_from_slice(rest);
+            *word = packed(&last, &inside) & ((1 << rest.len()) - 1);
         }
     }
+    nan
+}
+
+/// The word of 64 voxels.
+#[inline(always)]
+fn packed<const BYTES: usize>(
+    chunk: &[[u8; BYTES]; 64],
+    inside: &impl Fn([u8; BYTES]) -> bool,
+) -> u64 {
+    // Flags first, so that the comparisons are vectorised.
+    let mut flags = [0u8; 64];
+    for (flag, &voxel) in flags.iter_mut().zip(chunk) {
+        *flag = u8::from(inside(voxel));
+    }
+    // Eight flags at a time are gathered by a multiplication that moves bit 0 of byte i to bit 56 + i.
+    let mut word = 0;
+    for (i, eight) in flags.as_chunks::<8>().0.iter().enumerate() {
+        let bits = u64::from_le_bytes(*eight).wrapping_mul(0x0102_0408_1020_4080) >> 56;
+        word |= bits << (8 * i);
+    }
+    word
 }
 
 #[cfg(test)]
@@ -392,6 +505,64 @@ mod tests {
             inside(Criterion::Below(0.0.into())),
             (vec![false, false, true, false, false, false, false], 1)
         );
+    }
+
+    #[test]
+    fn every_type_is_packed_as_its_values_say() {
+        // Rows of more than one look, alike for long, with a tail; values around every threshold.
+        let thresholds = [
+            0.0,
+            -0.0,
+            1.0,
+            1.5,
+            -3.25,
+            100.0,
+            0.1,
+            1e-46,
+            1e300,
+            -1e300,
+            f64::INFINITY,
+            f64::NEG_INFINITY,
+            16_777_217.0,
+        ];
+        let mut values = Vec::new();
+        for t in thresholds {
+            let near = t as f32;
+            values.extend([near, near.next_up(), near.next_down(), f32::NAN]);
+            values.extend([t as f32; 130]);
+        }
+        let criteria = thresholds.iter().flat_map(|&t| {
+            [
+                Criterion::AtLeast(t.into()),
+                Criterion::Below(t.into()),
+                Criterion::Between(t.into(), (t + 0.5).into()),
+                Criterion::Label(t.into()),
+            ]
+        });
+        for criterion in criteria {
+            for order in [ByteOrder::Little, ByteOrder::Big] {
+                let b = Binarizer::new(criterion, VoxelType::F32, order, None);
+                let bytes = |v: &f32| match order {
+                    ByteOrder::Little => v.to_le_bytes(),
+                    ByteOrder::Big => v.to_be_bytes(),
+                };
+                let row: Vec<u8> = values.iter().flat_map(bytes).collect();
+                let expected: Vec<bool> =
+                    values.iter().map(|&v| criterion.holds(v.into())).collect();
+                let nan = values.iter().filter(|v| v.is_nan()).count() as u64;
+                assert_eq!(bits(&b, &row, values.len()), (expected, nan), "{criterion}");
+                let b = Binarizer::new(criterion, VoxelType::I16, order, None);
+                let whole: Vec<i16> = values.iter().map(|&v| v as i16).collect();
+                let bytes = |v: &i16| match order {
+                    ByteOrder::Little => v.to_le_bytes(),
+                    ByteOrder::Big => v.to_be_bytes(),
+                };
+                let row: Vec<u8> = whole.iter().flat_map(bytes).collect();
+                let expected: Vec<bool> =
+                    whole.iter().map(|&v| criterion.holds(v.into())).collect();
+                assert_eq!(bits(&b, &row, whole.len()), (expected, 0), "{criterion}");
+            }
+        }
     }
 
     #[test]

@@ -10,6 +10,7 @@
 //! a block the adjacency of surfels, which is decided at linels, keeps one umbrella where the
 //! solid has two, or none.) This ties the surface to the solid and is tested as a law.
 
+use crate::dispatch::{Work, dispatch};
 use crate::volume::PlaneWindow;
 
 /// Counts over the 2x2x2 blocks of an image.
@@ -46,7 +47,7 @@ impl SolidCounts {
         let mut found = |lo: [i32; 2], hi: [i32; 2], known| match known {
             Some(false) => {}
             Some(true) => counts.add_solid(window.dims, lo, hi, z),
-            None => counts.add_rows(window, lo, hi, z),
+            None => counts.add(&dispatch(CountRows { window, lo, hi, z })),
         };
         window.rectangles([0; 2], blocks, z..z + 1, 64, false, &mut found);
         counts
@@ -88,39 +89,8 @@ impl SolidCounts {
         }
     }
 
-    /// The blocks `lo <= c < hi` of plane `z`; `lo[0]` is a multiple of 64.
-    fn add_rows(&mut self, window: &PlaneWindow, lo: [i32; 2], hi: [i32; 2], z: i32) {
-        // One word before, for its last voxel.
-        let skipped = usize::from(lo[0] > 0);
-        let words = lo[0] as usize / 64 - skipped..(hi[0] as usize).div_ceil(64);
-        let mut buffers = [const { Vec::new() }; 4];
-        for y in lo[1]..hi[1] {
-            let [b0, b1, b2, b3] = &mut buffers;
-            let rows = [
-                window.span([y, z], words.clone(), b0),
-                window.span([y - 1, z], words.clone(), b1),
-                window.span([y, z - 1], words.clone(), b2),
-                window.span([y - 1, z - 1], words.clone(), b3),
-            ];
-            let mut carry = if skipped == 1 {
-                rows.map(|r| r.first().copied().unwrap_or(0) >> 63)
-            } else {
-                [0; 4]
-            };
-            for w in skipped..words.len() {
-                let here = rows.map(|r| r.get(w).copied().unwrap_or(0));
-                let before = [0, 1, 2, 3].map(|i| here[i] << 1 | carry[i]);
-                carry = here.map(|h| h >> 63);
-                if here == [0; 4] && before == [0; 4] || here == [!0; 4] && before == [!0; 4] {
-                    self.voxels += u64::from(here[0].count_ones());
-                    continue;
-                }
-                self.add_word(here, before);
-            }
-        }
-    }
-
     /// `here` and `before` (one voxel less in x) of the rows (y, z), (y-1, z), (y, z-1), (y-1, z-1).
+    #[inline(always)]
     fn add_word(&mut self, here: [u64; 4], before: [u64; 4]) {
         let [a, b, c, d] = here;
         let [e, f, g, h] = before;
@@ -150,5 +120,52 @@ impl SolidCounts {
             self.antipodal_inside += u64::from((both & !any).count_ones());
             self.antipodal_outside += u64::from((neither & all).count_ones());
         }
+    }
+}
+
+/// Counts the blocks `lo <= c < hi` of plane `z`; `lo[0]` is a multiple of 64.
+struct CountRows<'a> {
+    window: &'a PlaneWindow,
+    lo: [i32; 2],
+    hi: [i32; 2],
+    z: i32,
+}
+
+impl Work for CountRows<'_> {
+    type Output = SolidCounts;
+
+    #[inline(always)]
+    fn run(self) -> SolidCounts {
+        let Self { window, lo, hi, z } = self;
+        let mut counts = SolidCounts::default();
+        // One word before, for its last voxel.
+        let skipped = usize::from(lo[0] > 0);
+        let words = lo[0] as usize / 64 - skipped..(hi[0] as usize).div_ceil(64);
+        let mut buffers = [const { Vec::new() }; 4];
+        for y in lo[1]..hi[1] {
+            let [b0, b1, b2, b3] = &mut buffers;
+            let rows = [
+                window.span([y, z], words.clone(), b0),
+                window.span([y - 1, z], words.clone(), b1),
+                window.span([y, z - 1], words.clone(), b2),
+                window.span([y - 1, z - 1], words.clone(), b3),
+            ];
+            let mut carry = if skipped == 1 {
+                rows.map(|r| r.first().copied().unwrap_or(0) >> 63)
+            } else {
+                [0; 4]
+            };
+            for w in skipped..words.len() {
+                let here = rows.map(|r| r.get(w).copied().unwrap_or(0));
+                let before = [0, 1, 2, 3].map(|i| here[i] << 1 | carry[i]);
+                carry = here.map(|h| h >> 63);
+                if here == [0; 4] && before == [0; 4] || here == [!0; 4] && before == [!0; 4] {
+                    counts.voxels += u64::from(here[0].count_ones());
+                    continue;
+                }
+                counts.add_word(here, before);
+            }
+        }
+        counts
     }
 }

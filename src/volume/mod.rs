@@ -14,6 +14,7 @@ mod criterion;
 mod euler;
 mod grey;
 pub mod otsu;
+mod squares;
 mod tiles;
 
 pub use bits::{BitBox, BitPlane, PlaneWindow};

@@ -15,6 +15,8 @@ mod normals;
 mod outputs;
 /// `--radius auto`, the default radius and error bars.
 mod radius;
+/// `run --stats`.
+mod stats;
 /// What `info`, `plan`, `completions` and `man` tell.
 mod telling;
 /// Units of lengths, thresholds, conventions of the numbers.
