@@ -1,0 +1,141 @@
+//! Tables of growth, of threads, of bricks and memory.
+
+use anyhow::Result;
+use curvox::measure::ball::Extent;
+use curvox::pipeline::Settings;
+
+use super::SpeedArgs;
+use super::clock::median;
+use super::runs::{self, Destination, Finished, Method};
+use super::subject::Subject;
+use crate::paper::slopes::exponent;
+
+/// Edges of bricks, in voxels; `None` is the plan's own choice.
+const BRICKS: [Option<i32>; 6] = [None, Some(16), Some(32), Some(64), Some(128), Some(256)];
+
+/// Memory allowed, in MiB.
+const MEMORIES: [u64; 5] = [128, 256, 512, 1024, 4096];
+
+/// Radius of the table of bricks and memory, in voxels: the default of the command.
+const BRICK_RADIUS: f64 = 6.0;
+
+fn connected(subject: &Subject, method: Method, radius: f64) -> Result<Settings> {
+    runs::settings(subject, method, Extent::Connected, radius)
+}
+
+fn dropped(subject: &Subject, settings: &Settings) -> Result<Finished> {
+    runs::once(subject, settings, Destination::Dropped)
+}
+
+pub(super) fn print_growth(args: &SpeedArgs) -> Result<()> {
+    println!(
+        "Goursat's surface at the paper's radius 3 h^(-1/2) voxels: processor time of whole runs, and the exponent b of \
+         time ~ surfels^b from the line before.\n"
+    );
+    println!("| method | h | surfels | radius | us a surfel | b |");
+    println!("|---|---|---|---|---|---|");
+    for method in Method::ALL {
+        let mut points: Vec<(f64, f64)> = Vec::new();
+        for &gridstep in &args.growth {
+            let subject = Subject::goursat(gridstep, 0.0)?;
+            let radius = 3.0 / gridstep.sqrt();
+            let settings = connected(&subject, method, radius)?;
+            let mut seconds = Vec::new();
+            let mut surfels = 0;
+            for _ in 0..args.repeats {
+                let finished = dropped(&subject, &settings)?;
+                seconds.push(finished.time.cpu);
+                surfels = finished.surfels;
+            }
+            let before = points.last().copied();
+            let point = (surfels as f64, median(&seconds));
+            points.push(point);
+            let b = before.and_then(|before| exponent(&[before, point]));
+            println!(
+                "| {} | {gridstep} | {surfels} | {radius:.2} | {:.2} | {} |",
+                method.name(),
+                point.1 / point.0 * 1e6,
+                b.map_or(String::new(), |b| format!("{b:.2}"))
+            );
+        }
+        if let Some(b) = exponent(&points) {
+            println!("| {} | all | | | | {b:.2} |", method.name());
+        }
+    }
+    println!();
+    Ok(())
+}
+
+pub(super) fn print_threads(args: &SpeedArgs) -> Result<()> {
+    let subject = Subject::goursat(args.gridstep, 0.0)?;
+    println!(
+        "{}: seconds on the clock with one and two threads.\n",
+        subject.name
+    );
+    println!("| method | radius | one | two | one / two |");
+    println!("|---|---|---|---|---|");
+    for method in Method::ALL {
+        for &radius in &args.radii {
+            let one = connected(&subject, method, radius)?;
+            let two = Settings {
+                threads: 2,
+                ..one.clone()
+            };
+            let mut seconds = [Vec::new(), Vec::new()];
+            for _ in 0..args.repeats {
+                for (settings, seconds) in [&one, &two].into_iter().zip(&mut seconds) {
+                    seconds.push(dropped(&subject, settings)?.time.wall);
+                }
+            }
+            let [one, two] = seconds.map(|seconds| median(&seconds));
+            println!(
+                "| {} | {radius} | {one:.2} | {two:.2} | {:.2} |",
+                method.name(),
+                one / two
+            );
+        }
+    }
+    println!();
+    Ok(())
+}
+
+pub(super) fn print_bricks(args: &SpeedArgs) -> Result<()> {
+    let subject = Subject::goursat(args.gridstep, 0.0)?;
+    println!(
+        "{}, radius of {BRICK_RADIUS} voxels: processor time, microseconds a surfel.\n",
+        subject.name
+    );
+    let names = BRICKS.map(|brick| match brick {
+        Some(edge) => format!("bricks of {edge}"),
+        None => "as planned".into(),
+    });
+    println!("| method | memory, MiB | {} |", names.join(" | "));
+    println!("|---|---|{}", "---|".repeat(BRICKS.len()));
+    for method in Method::ALL {
+        let mut times = vec![[const { Vec::new() }; BRICKS.len()]; MEMORIES.len()];
+        for _ in 0..args.repeats {
+            for (memory, times) in MEMORIES.iter().zip(&mut times) {
+                for (&brick, times) in BRICKS.iter().zip(times) {
+                    let settings = Settings {
+                        memory_bytes: memory << 20,
+                        brick,
+                        ..connected(&subject, method, BRICK_RADIUS)?
+                    };
+                    // Little memory does not hold large bricks: there is no number then.
+                    if let Ok(finished) = dropped(&subject, &settings) {
+                        times.push(finished.microseconds());
+                    }
+                }
+            }
+        }
+        for (memory, times) in MEMORIES.iter().zip(&times) {
+            let cells = times.each_ref().map(|times| match times.len() {
+                0 => "-".into(),
+                _ => format!("{:.2}", median(times)),
+            });
+            println!("| {} | {memory} | {} |", method.name(), cells.join(" | "));
+        }
+    }
+    println!();
+    Ok(())
+}
