@@ -278,7 +278,7 @@ fn is_ridge(surface: &Surface, f: usize) -> bool {
 /// `count` ranges of `size` numbers below `length`, evenly spread; all numbers if there are not that many.
 fn stretches(length: usize, count: usize, size: usize) -> Vec<Range<usize>> {
     if count * size >= length {
-        return vec![0..length];
+        return std::iter::once(0..length).collect();
     }
     let starts = (0..count).map(|i| (2 * i + 1) * length / (2 * count) - size / 2);
     starts.map(|start| start..start + size).collect()
@@ -291,7 +291,10 @@ mod tests {
 
     #[test]
     fn stretches_lie_within_and_do_not_meet() {
-        assert_eq!(stretches(10, 2, 5), [0..10]);
+        assert_eq!(
+            stretches(10, 2, 5),
+            std::iter::once(0..10).collect::<Vec<_>>()
+        );
         assert_eq!(stretches(100, 2, 10), [20..30, 70..80]);
         for (length, count, size) in [(101, 8, 12), (1000, 8, 1), (17, 8, 2)] {
             let ranges = stretches(length, count, size);
