@@ -73,7 +73,7 @@ count() {
     shift 2
     set -- run "$@" --threads 1 --overwrite -o "$work/out"
     if [ "$unit" = surfel ]; then
-        items=$("$CURVOX" "$@" --json 2>/dev/null | grep -o '"surfels":[0-9]*' | head -1 | cut -d: -f2)
+        items=$("$CURVOX" "$@" --json 2>/dev/null | sed -n 's/.*"surfels":\([0-9]*\).*/\1/p')
     else
         items=$((256 * 256 * 256))
     fi
