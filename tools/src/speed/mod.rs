@@ -4,7 +4,7 @@
 //!
 //! Everything of a table is measured in this process, one after the other, in turns: repeats of a case lie as far apart
 //! as they can, so that what else runs on the machine meets all cases alike, and medians of processor time are told.
-//! A table ends with how far the repeats of its worst case differed.
+//! The table of methods ends with how far the repeats of its worst case differed.
 //!
 //! * [`Table::Methods`]: the plain reference ([`walks`]), runs whose rows are dropped, and runs into a Parquet table,
 //!   by method and radius; what noise costs, and what connected balls cost above whole ones.

@@ -34,27 +34,37 @@ pub(super) fn print_growth(args: &SpeedArgs) -> Result<()> {
     );
     println!("| method | h | surfels | radius | us a surfel | b |");
     println!("|---|---|---|---|---|---|");
+    let subjects: Result<Vec<Subject>> = (args.growth.iter())
+        .map(|&gridstep| Subject::goursat(gridstep, 0.0))
+        .collect();
+    let subjects = subjects?;
+    let radius = |gridstep: f64| 3.0 / gridstep.sqrt();
     for method in Method::ALL {
-        let mut points: Vec<(f64, f64)> = Vec::new();
-        for &gridstep in &args.growth {
-            let subject = Subject::goursat(gridstep, 0.0)?;
-            let radius = 3.0 / gridstep.sqrt();
-            let settings = connected(&subject, method, radius)?;
-            let mut seconds = Vec::new();
-            let mut surfels = 0;
-            for _ in 0..args.repeats {
-                let finished = dropped(&subject, &settings)?;
-                seconds.push(finished.time.cpu);
-                surfels = finished.surfels;
+        let mut finished: Vec<Vec<Finished>> = vec![Vec::new(); subjects.len()];
+        for _ in 0..args.repeats {
+            for (i, subject) in subjects.iter().enumerate() {
+                let settings = connected(subject, method, radius(args.growth[i]))?;
+                finished[i].push(dropped(subject, &settings)?);
             }
-            let before = points.last().copied();
-            let point = (surfels as f64, median(&seconds));
-            points.push(point);
-            let b = before.and_then(|before| exponent(&[before, point]));
+        }
+        // Surfels and seconds.
+        let points: Vec<(f64, f64)> = finished
+            .iter()
+            .map(|runs| {
+                let seconds: Vec<f64> = runs.iter().map(|run| run.time.cpu).collect();
+                let surfels = runs.first().map_or(0, |run| run.surfels);
+                (surfels as f64, median(&seconds))
+            })
+            .collect();
+        for (i, (&gridstep, &(surfels, seconds))) in args.growth.iter().zip(&points).enumerate() {
+            let b = i
+                .checked_sub(1)
+                .and_then(|before| exponent(&points[before..=i]));
             println!(
-                "| {} | {gridstep} | {surfels} | {radius:.2} | {:.2} | {} |",
+                "| {} | {gridstep} | {surfels} | {:.2} | {:.2} | {} |",
                 method.name(),
-                point.1 / point.0 * 1e6,
+                radius(gridstep),
+                seconds / surfels * 1e6,
                 b.map_or(String::new(), |b| format!("{b:.2}"))
             );
         }

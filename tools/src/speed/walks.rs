@@ -146,8 +146,12 @@ impl Plain {
             orientation: Orientation::Moment,
         };
         let mut normals = Vec::new();
-        // They look at nothing of a surface but its surfels.
-        let mut part = self.surface.clone();
+        // They look at nothing of a surface but its surfels, so any other will hold them.
+        let nothing = Solid {
+            dims: [1; 3],
+            inside: vec![false],
+        };
+        let mut part = Surface::new(&nothing, false, Adjacency::Interior);
         for stretch in stretches {
             part.surfels.clear();
             part.surfels
@@ -318,13 +322,17 @@ mod tests {
         let cells = Cells::new(&surface, &u, &scale);
         let plain = Plain::with_normals(solid, scale, surface.clone(), &u);
         let stretches = stretches(surface.len(), 4, 50);
-        assert_eq!(
-            plain.averages(radius, &stretches),
-            stretches
-                .iter()
-                .flat_map(|range| u[range.clone()].to_vec())
-                .collect::<Vec<_>>()
-        );
+        let of_stretches = |all: &[Vector]| -> Vec<Vector> {
+            let parts = stretches.iter().map(|range| &all[range.clone()]);
+            parts.flatten().copied().collect()
+        };
+        assert_eq!(plain.averages(radius, &stretches), of_stretches(&u));
+        let invariants = Estimator::IntegralInvariant {
+            radius_world: radius,
+            orientation: Orientation::Moment,
+        };
+        let all = normals::estimate(&plain.solid, &surface, &scale, invariants).u;
+        assert_eq!(plain.invariants(radius, &stretches), of_stretches(&all));
         for (weights, found) in [
             (Weights::Lumped, plain.lumped(radius, &stretches)),
             (
