@@ -88,7 +88,7 @@ pub(super) fn print(args: &SpeedArgs) -> Result<()> {
     );
     println!("|---|---|---|---|---|---|---|---|---|---|---|---|");
     let mut worst: f64 = 0.0;
-    for method in Method::ALL {
+    for &method in &args.methods {
         for &radius in &args.radii {
             let mut times: Vec<Times> = prepared.iter().map(|_| Times::default()).collect();
             for _ in 0..args.repeats {

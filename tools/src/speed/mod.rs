@@ -11,6 +11,7 @@
 //! * [`Table::Growth`]: runs at the paper's radius 3 h^(-1/2) voxels, and the exponent of their time over surfels.
 //! * [`Table::Threads`]: two threads against one, on the clock.
 //! * [`Table::Bricks`]: the same run with other bricks and within less memory.
+//! * [`Table::Empty`]: a volume without a solid, against a copy of its bytes.
 //!
 //! Not guaranteed: that numbers of two runs of this command compare; set a ratio against a ratio.
 
@@ -25,6 +26,7 @@ mod variations;
 use anyhow::Result;
 use clap::{Args, ValueEnum};
 
+use runs::Method;
 use subject::VolumeSpec;
 
 /// What can be measured.
@@ -38,6 +40,8 @@ pub enum Table {
     Threads,
     /// Bricks and memory.
     Bricks,
+    /// Empty space against a copy in memory.
+    Empty,
 }
 
 /// Options of `speed`.
@@ -46,6 +50,10 @@ pub struct SpeedArgs {
     /// Radii of the balls, in voxels
     #[arg(long, value_delimiter = ',', default_value = "3,6,12,17")]
     radii: Vec<f64>,
+
+    /// Methods
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "default,ii")]
+    methods: Vec<Method>,
 
     /// Gridstep of Goursat's surface; 0.08 has 369 thousand surfels
     #[arg(long, default_value_t = 0.08)]
@@ -80,7 +88,7 @@ pub struct SpeedArgs {
         long,
         value_enum,
         value_delimiter = ',',
-        default_value = "methods,growth,threads,bricks"
+        default_value = "methods,growth,threads,bricks,empty"
     )]
     tables: Vec<Table>,
 
@@ -108,6 +116,7 @@ impl SpeedArgs {
                 Table::Growth => variations::print_growth(&self)?,
                 Table::Threads => variations::print_threads(&self)?,
                 Table::Bricks => variations::print_bricks(&self)?,
+                Table::Empty => variations::print_empty(&self)?,
             }
         }
         Ok(())

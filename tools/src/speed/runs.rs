@@ -3,6 +3,7 @@
 use std::sync::atomic::AtomicBool;
 
 use anyhow::Result;
+use clap::ValueEnum;
 use curvox::measure::ball::{Compensation, Extent, Weights};
 use curvox::normal::refine::FIRST_RADIUS;
 use curvox::normal::{Estimator, Orientation};
@@ -18,18 +19,16 @@ use super::clock::{Time, timed};
 use super::subject::Subject;
 
 /// The methods that are measured.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Method {
     /// Averages of the surface, compensated weights.
     Default,
     /// Integral invariants, lumped weights.
+    #[value(name = "ii")]
     Invariants,
 }
 
 impl Method {
-    /// All of them.
-    pub const ALL: [Method; 2] = [Method::Default, Method::Invariants];
-
     /// How tables call it.
     pub fn name(self) -> &'static str {
         match self {
@@ -204,7 +203,7 @@ mod tests {
     #[test]
     fn runs_with_and_without_a_table_meet_the_surfels_of_the_reference() {
         let subject = Subject::goursat(1.0, 0.0).unwrap();
-        for method in Method::ALL {
+        for method in [Method::Default, Method::Invariants] {
             let settings = settings(&subject, method, Extent::Connected, 3.0).unwrap();
             for destination in [Destination::Dropped, Destination::Parquet] {
                 let finished = once(&subject, &settings, destination).unwrap();

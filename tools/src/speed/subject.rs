@@ -75,6 +75,15 @@ impl Subject {
         })
     }
 
+    /// A volume without a solid.
+    pub fn empty(dims: [usize; 3]) -> Self {
+        Self {
+            name: "nothing".into(),
+            dims,
+            stored: vec![0; dims.iter().product()].into(),
+        }
+    }
+
     /// The voxels of a file at or above a threshold.
     ///
     /// # Errors

@@ -1,11 +1,13 @@
-//! Tables of growth, of threads, of bricks and memory.
+//! Tables of growth, of threads, of bricks and memory, of empty space.
+
+use std::hint::black_box;
 
 use anyhow::Result;
 use curvox::measure::ball::Extent;
 use curvox::pipeline::Settings;
 
 use super::SpeedArgs;
-use super::clock::median;
+use super::clock::{median, timed};
 use super::runs::{self, Destination, Finished, Method};
 use super::subject::Subject;
 use crate::paper::slopes::exponent;
@@ -18,6 +20,9 @@ const MEMORIES: [u64; 5] = [128, 256, 512, 1024, 4096];
 
 /// Radius of the table of bricks and memory, in voxels: the default of the command.
 const BRICK_RADIUS: f64 = 6.0;
+
+/// Voxels of the empty volume along x, y, z: planes large enough that a brick is small beside them.
+const EMPTY: [usize; 3] = [2048, 2048, 64];
 
 fn connected(subject: &Subject, method: Method, radius: f64) -> Result<Settings> {
     runs::settings(subject, method, Extent::Connected, radius)
@@ -39,7 +44,7 @@ pub(super) fn print_growth(args: &SpeedArgs) -> Result<()> {
         .collect();
     let subjects = subjects?;
     let radius = |gridstep: f64| 3.0 / gridstep.sqrt();
-    for method in Method::ALL {
+    for &method in &args.methods {
         let mut finished: Vec<Vec<Finished>> = vec![Vec::new(); subjects.len()];
         for _ in 0..args.repeats {
             for (i, subject) in subjects.iter().enumerate() {
@@ -84,7 +89,7 @@ pub(super) fn print_threads(args: &SpeedArgs) -> Result<()> {
     );
     println!("| method | radius | one | two | one / two |");
     println!("|---|---|---|---|---|");
-    for method in Method::ALL {
+    for &method in &args.methods {
         for &radius in &args.radii {
             let one = connected(&subject, method, radius)?;
             let two = Settings {
@@ -121,7 +126,7 @@ pub(super) fn print_bricks(args: &SpeedArgs) -> Result<()> {
     });
     println!("| method | memory, MiB | {} |", names.join(" | "));
     println!("|---|---|{}", "---|".repeat(BRICKS.len()));
-    for method in Method::ALL {
+    for &method in &args.methods {
         let mut times = vec![[const { Vec::new() }; BRICKS.len()]; MEMORIES.len()];
         for _ in 0..args.repeats {
             for (memory, times) in MEMORIES.iter().zip(&mut times) {
@@ -147,5 +152,30 @@ pub(super) fn print_bricks(args: &SpeedArgs) -> Result<()> {
         }
     }
     println!();
+    Ok(())
+}
+
+pub(super) fn print_empty(args: &SpeedArgs) -> Result<()> {
+    let subject = Subject::empty(EMPTY);
+    let settings = connected(&subject, Method::Default, BRICK_RADIUS)?;
+    // Written once before, so that the system has given its pages.
+    let mut copy = vec![1u8; subject.stored.len()];
+    let (mut copied, mut read) = (Vec::new(), Vec::new());
+    for _ in 0..args.repeats {
+        let ((), time) = timed(|| black_box(&mut copy).copy_from_slice(black_box(&subject.stored)));
+        copied.push(time.cpu);
+        read.push(dropped(&subject, &settings)?.time.cpu);
+    }
+    let gigabytes = subject.stored.len() as f64 * 1e-9;
+    let [copied, read] = [copied, read].map(|seconds| median(&seconds));
+    println!("Nothing in {EMPTY:?} bytes: processor seconds a gigabyte.\n");
+    println!("| copied in memory | read, packed, searched | ratio |");
+    println!("|---|---|---|");
+    println!(
+        "| {:.3} | {:.3} | {:.2} |\n",
+        copied / gigabytes,
+        read / gigabytes,
+        read / copied
+    );
     Ok(())
 }
