@@ -3,7 +3,7 @@
 //! In: a solid, the radii of a method. Out: what its normals, sums and all the rest take a surfel. Everything is that of
 //! [`crate::plain`], with two things taken out of the inner loop that nobody would leave there: the measures of a
 //! surfel and its share of those around it are added up once, in one array, and what tells that a surfel is part of a
-//! ridge too. (Repeated at each visit, as the oracle does for its simplicity, they make its sums two to three times as
+//! ridge too. (Repeated at each visit, as the oracle does for its simplicity, they make its sums three times as
 //! slow.) No bound is made from a distance, nothing is shared between the balls of neighbours.
 //!
 //! Walks are timed on stretches of consecutive surfels, spread over the surface; the rest on the whole.
