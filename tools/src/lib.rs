@@ -14,6 +14,7 @@
 //! * [`methods`] tables the errors of the named methods on [`moved`] shapes.
 //! * [`picture`] draws what a run of `curvox` left.
 //! * [`paper`] repeats the experiments of the paper with the `curvox` command.
+//! * [`speed`] measures processor time a surfel of whole runs, beside plain walks.
 
 pub mod plain;
 
@@ -38,3 +39,5 @@ pub mod moved;
 pub mod picture;
 
 pub mod paper;
+
+pub mod speed;

@@ -14,6 +14,7 @@ use curvox_tools::methods::MethodsArgs;
 use curvox_tools::npz::Table;
 use curvox_tools::paper::PaperArgs;
 use curvox_tools::picture::PictureArgs;
+use curvox_tools::speed::SpeedArgs;
 use curvox_tools::{goursat, vol};
 
 #[derive(Parser)]
@@ -56,6 +57,8 @@ enum Command {
     Methods(MethodsArgs),
     /// Read every file of a folder of test data and write a page on what became of each
     Formats(FormatsArgs),
+    /// Processor time a surfel of whole runs in memory, beside plain walks over the surface
+    Speed(SpeedArgs),
 }
 
 fn main() -> Result<()> {
@@ -90,6 +93,7 @@ fn main() -> Result<()> {
         Command::Grey(arguments) => arguments.run()?,
         Command::Methods(arguments) => arguments.run()?,
         Command::Formats(arguments) => arguments.run()?,
+        Command::Speed(arguments) => arguments.run()?,
         Command::Errors {
             reference,
             gridsteps,
