@@ -24,7 +24,6 @@ use glam::DVec3;
 
 use crate::khalimsky::OrientedSurfel;
 use crate::lattice::{Ball, Lattice};
-use crate::simd::{Level, Work, dispatch};
 use crate::surfel::{CellBox, Surfels};
 use crate::symmetric::{Symmetric, eigen, eigenvector_near};
 use crate::volume::{BitBox, PlaneWindow};

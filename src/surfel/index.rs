@@ -6,9 +6,9 @@
 
 use std::ops::Range;
 
-use crate::dispatch::{Work, dispatch};
 use crate::khalimsky::{Direction, OrientedSurfel};
 use crate::lattice::Lattice;
+use crate::simd::{Level, Work, dispatch};
 use crate::volume::{BitBox, PlaneWindow};
 
 /// A box of cells `lo <= c < hi`, in image coordinates.
@@ -272,7 +272,7 @@ impl Work for Find<'_> {
     type Output = SurfelIndex;
 
     #[inline(always)]
-    fn run(self) -> SurfelIndex {
+    fn run<L: Level>(self) -> SurfelIndex {
         let Self {
             bits,
             cells,
@@ -368,7 +368,7 @@ impl Work for CountRows<'_> {
     type Output = u64;
 
     #[inline(always)]
-    fn run(self) -> u64 {
+    fn run<L: Level>(self) -> u64 {
         let Self {
             window,
             lo,

@@ -11,7 +11,7 @@ use std::str::FromStr;
 use curvox_formats::{ByteOrder, Scaling, VoxelType};
 use half::f16;
 
-use crate::dispatch::{Work, dispatch};
+use crate::simd::{Level, Work, dispatch};
 
 /// A number as typed: whole numbers keep all their digits.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -295,7 +295,7 @@ impl Work for PackRow<'_> {
     type Output = u64;
 
     #[inline(always)]
-    fn run(self) -> u64 {
+    fn run<L: Level>(self) -> u64 {
         let Self {
             binarizer,
             row,

@@ -10,7 +10,7 @@
 //! a block the adjacency of surfels, which is decided at linels, keeps one umbrella where the
 //! solid has two, or none.) This ties the surface to the solid and is tested as a law.
 
-use crate::dispatch::{Work, dispatch};
+use crate::simd::{Level, Work, dispatch};
 use crate::volume::PlaneWindow;
 
 /// Counts over the 2x2x2 blocks of an image.
@@ -135,7 +135,7 @@ impl Work for CountRows<'_> {
     type Output = SolidCounts;
 
     #[inline(always)]
-    fn run(self) -> SolidCounts {
+    fn run<L: Level>(self) -> SolidCounts {
         let Self { window, lo, hi, z } = self;
         let mut counts = SolidCounts::default();
         // One word before, for its last voxel.

@@ -6,7 +6,7 @@
 
 use std::ops::Range;
 
-use crate::dispatch::{Work, dispatch};
+use crate::simd::{Level, Work, dispatch};
 
 /// Edge of a square in voxels: a word of bits. Larger ones are seldom uniform near a surface; smaller
 /// ones take longer to ask than the 64 words they stand for.
@@ -86,7 +86,7 @@ impl Work for Look<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run(self) {
+    fn run<L: Level>(self) {
         let across = (self.dims_x as usize).div_ceil(EDGE);
         let last = !0 >> (across * EDGE - self.dims_x as usize);
         let (mut any, mut all) = (vec![0; across], vec![0; across]);
