@@ -468,8 +468,14 @@ impl BallKernel {
     /// From sums over a group.
     fn of_group(&self, sums: &GroupSums, falloff: Falloff) -> BallSums {
         let unit = falloff.unit();
-        let measures = sums.measures.map(|m| m.map(|x| number(x) / unit));
-        let omega = sums.omega.map(|x| number(x) / unit);
+        let mut measures = [[0.0; 8]; 2];
+        let mut omega = [0.0; 2];
+        for k in 0..2 {
+            for (to, &x) in measures[k].iter_mut().zip(&sums.measures[k]) {
+                *to = number(x) / unit;
+            }
+            omega[k] = number(sums.omega[k]) / unit;
+        }
         let (x, omega, evidence) = match self.weights {
             Weights::Compensated(of) => {
                 let ridges = f64::from(sums.ridges) / f64::from(sums.count.max(1));

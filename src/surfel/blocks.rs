@@ -29,6 +29,17 @@ pub(super) struct Component {
     pub(super) goes_on: bool,
 }
 
+/// Sixteen surfels in the order of their places.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Chunk {
+    /// Khalimsky coordinates, as in [`Surfels`].
+    pub(super) k: [[i16; LANES]; 3],
+    /// Displacements to the surfels across the sides, by side and axis; 0 where there is none.
+    pub(super) steps: [[[i8; LANES]; 3]; 4],
+    /// Which component of the surface.
+    pub(super) component: [u32; LANES],
+}
+
 /// Surfels of a box in the order of blocks.
 #[derive(Clone, Debug, Default)]
 pub struct Blocks {
@@ -40,14 +51,10 @@ pub struct Blocks {
     surfel: Vec<u32>,
     /// The place of each surfel.
     place: Vec<u32>,
-    /// Khalimsky coordinates, as in [`Surfels`]; as `steps`, with [`LANES`] more at the end.
-    pub(super) k: [Vec<i16>; 3],
+    /// What loops over vectors read, sixteen places at a time.
+    pub(super) chunks: Vec<Chunk>,
     /// The places across the sides, by side; [`NONE`] where there is none.
     pub(super) across: [Vec<u32>; 4],
-    /// Displacements to them, by side and axis; 0 where there is none.
-    pub(super) steps: [[Vec<i8>; 3]; 4],
-    /// Which component of the surface; also with more at the end.
-    pub(super) component: Vec<u32>,
     pub(super) components: Vec<Component>,
     /// A side is on the border of an open image.
     pub(super) open: Vec<bool>,
@@ -94,40 +101,39 @@ impl Blocks {
 
     fn describe(&mut self, surfels: &Surfels, links: &Links) {
         let count = self.surfel.len();
-        for a in 0..3 {
-            self.k[a] = Vec::with_capacity(count);
-            for side in &mut self.steps {
-                side[a] = Vec::with_capacity(count);
-            }
-        }
         for side in &mut self.across {
             *side = Vec::with_capacity(count);
         }
         self.open = Vec::with_capacity(count);
-        for &number in &self.surfel {
-            let k = surfels.list[number as usize].k;
-            for (list, k) in self.k.iter_mut().zip(k) {
-                list.push(k);
-            }
-            let links = &links.of[number as usize];
-            for (side, link) in links.iter().enumerate() {
-                let (place, to) = match link.surfel() {
-                    Some(n) => (self.place[n], surfels.list[n].k),
-                    None => (NONE, k),
-                };
-                self.across[side].push(place);
-                for (a, steps) in self.steps[side].iter_mut().enumerate() {
-                    // surfels that share a linel are at most two half cells apart
-                    steps.push((to[a] - k[a]) as i8);
+        self.chunks = Vec::with_capacity(count.div_ceil(LANES));
+        for numbers in self.surfel.chunks(LANES) {
+            let mut chunk = Chunk {
+                k: [[0; LANES]; 3],
+                steps: [[[0; LANES]; 3]; 4],
+                component: [NONE; LANES],
+            };
+            for (lane, &number) in numbers.iter().enumerate() {
+                let k = surfels.list[number as usize].k;
+                for a in 0..3 {
+                    chunk.k[a][lane] = k[a];
                 }
+                let links = &links.of[number as usize];
+                let mut open = false;
+                for side in 0..4 {
+                    let (place, to) = match links[side].surfel() {
+                        Some(n) => (self.place[n], surfels.list[n].k),
+                        None => (NONE, k),
+                    };
+                    open |= links[side] == Link::BORDER;
+                    self.across[side].push(place);
+                    for a in 0..3 {
+                        // surfels that share a linel are at most two half cells apart
+                        chunk.steps[side][a][lane] = (to[a] - k[a]) as i8;
+                    }
+                }
+                self.open.push(open);
             }
-            self.open.push(links.contains(&Link::BORDER));
-        }
-        for list in &mut self.k {
-            list.resize(count + LANES, 0);
-        }
-        for list in self.steps.iter_mut().flatten() {
-            list.resize(count + LANES, 0);
+            self.chunks.push(chunk);
         }
     }
 
@@ -143,7 +149,6 @@ impl Blocks {
                 }
             }
         }
-        self.component = Vec::with_capacity(count);
         for place in 0..count as u32 {
             let root = find(&mut parent, place);
             // the root is the first of its component
@@ -151,15 +156,14 @@ impl Blocks {
                 self.components.push(Component::default());
                 self.components.len() as u32 - 1
             } else {
-                self.component[root as usize]
+                self.component(root as usize)
             };
-            self.component.push(component);
+            self.chunks[place as usize / LANES].component[place as usize % LANES] = component;
             let component = &mut self.components[component as usize];
             component.size += 1;
             let across = &links.of[self.surfel[place as usize] as usize];
             component.goes_on |= across.contains(&Link::BEYOND);
         }
-        self.component.resize(count + LANES, u32::MAX);
     }
 
     /// How many surfels there are.
@@ -197,7 +201,14 @@ impl Blocks {
     /// Khalimsky coordinates of a place.
     #[inline]
     pub(super) fn k_at(&self, place: usize) -> [i16; 3] {
-        [self.k[0][place], self.k[1][place], self.k[2][place]]
+        let (chunk, lane) = (&self.chunks[place / LANES], place % LANES);
+        [chunk.k[0][lane], chunk.k[1][lane], chunk.k[2][lane]]
+    }
+
+    /// The component of a place.
+    #[inline]
+    pub(super) fn component(&self, place: usize) -> u32 {
+        self.chunks[place / LANES].component[place % LANES]
     }
 
     /// Places of the surfels of each block that has any.

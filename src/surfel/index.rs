@@ -186,6 +186,29 @@ impl SurfelIndex {
         count
     }
 
+    /// The number of the bit of a surfel of kind `axis` of a cell among all bits.
+    #[inline(always)]
+    pub(super) fn bit(&self, axis: usize, cell: [i32; 3]) -> usize {
+        let row = self.row_start(Kind::BY_AXIS[axis], cell[1], cell[2]);
+        64 * row + (cell[0] - self.cells.lo[0]) as usize
+    }
+
+    /// How far the bits of a kind are for the next cell along each axis.
+    pub(super) fn strides(&self, axis: usize) -> [isize; 3] {
+        let row = 64 * self.words_per_row as isize;
+        let rows_a_y = if axis == 2 { 1 } else { 2 };
+        let size_y = (self.cells.hi[1] - self.cells.lo[1]) as isize;
+        [1, rows_a_y * row, 3 * size_y * row]
+    }
+
+    /// Number of the surfel of a bit, which must be set.
+    #[inline(always)]
+    pub(super) fn number(&self, bit: usize) -> u32 {
+        let word = self.words[bit / 64];
+        debug_assert!(word >> (bit % 64) & 1 == 1, "a surfel");
+        self.rank[bit / 64] + (word & low_bits((bit % 64) as u32)).count_ones()
+    }
+
     /// Number of the surfel of a cell along an axis, if there is one. The cell must be covered.
     #[inline]
     #[must_use]

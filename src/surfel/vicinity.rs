@@ -26,7 +26,7 @@ use std::ops::Range;
 use crate::lattice::Ball;
 use crate::simd::{LANES, Level, dot};
 
-use super::blocks::{Blocks, NONE, find, unite};
+use super::blocks::{Blocks, Chunk, NONE, find, unite};
 use super::squares::Squares;
 use super::walk::Rim;
 
@@ -228,7 +228,6 @@ pub(crate) struct Vicinity<'a, const LISTS: usize> {
     apart: Candidates,
     hub: Hub,
     runs: Vec<Range<usize>>,
-    flags: Vec<Flags>,
     passed: Vec<bool>,
     /// Whether candidates have labels, and how many there are.
     labels: Option<usize>,
@@ -280,9 +279,9 @@ impl Groups {
             rest.clear();
             rest.extend(run.filter(|&p| is_member(p)).map(|p| p as u32));
             while let Some(&first) = rest.first() {
-                let component = blocks.component[first as usize];
+                let component = blocks.component(first as usize);
                 rest.retain(|&p| {
-                    let same = blocks.component[p as usize] == component;
+                    let same = blocks.component(p as usize) == component;
                     if same {
                         groups.members.push(p);
                     }
@@ -304,17 +303,6 @@ impl Groups {
         let from = if group == 0 { 0 } else { self.ends[group - 1] };
         &self.members[from as usize..self.ends[group] as usize]
     }
-}
-
-/// What is known of sixteen surfels, one a bit.
-#[derive(Clone, Copy, Debug, Default)]
-struct Flags {
-    /// In the ball of some member, as far as the box around the members tells.
-    kept: u16,
-    /// In the near ball of some member.
-    near: u16,
-    /// Not descending.
-    hub: u16,
 }
 
 /// How candidates are sorted into lists.
@@ -347,7 +335,6 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
             apart: Candidates::default(),
             hub: Hub::default(),
             runs: Vec::new(),
-            flags: Vec::new(),
             passed: Vec::new(),
             labels: None,
             alive: Vec::new(),
@@ -395,12 +382,11 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
             Sort::Near(square) => (square as f64 / self.ball.metric.one() as f64) as f32,
             Sort::ByClass(_) => 0.0,
         };
-        let component = self.blocks.component[members[0] as usize];
+        let component = self.blocks.component(members[0] as usize);
         self.blocks.runs(from, to, &mut self.runs);
         for number in 0..self.runs.len() {
             let run = self.runs[number].clone();
-            self.flag::<L>(run.clone(), near);
-            self.take::<L>(run, component, tags, sort);
+            self.take::<L>(run, component, near, tags, sort);
         }
         for list in &mut self.lists {
             list.pad();
@@ -410,73 +396,51 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
         self.pass_members::<L>();
     }
 
-    /// What of a run of places is a candidate, near, and in the hub.
+    /// Sorts the candidates of a run of places into the lists, and finds those of the hub.
     #[inline(always)]
-    fn flag<L: Level>(&mut self, run: Range<usize>, near: f32) {
-        // beyond the run are other surfels, whose flags nobody asks for
-        let n = run.len().div_ceil(LANES);
-        let run = run.start..run.start + n * LANES;
-        let k = [0, 1, 2].map(|a| self.blocks.k[a][run.clone()].as_chunks::<LANES>().0);
-        let steps = [0, 1, 2, 3].map(|side| {
-            [0, 1, 2].map(|a| {
-                self.blocks.steps[side][a][run.clone()]
-                    .as_chunks::<LANES>()
-                    .0
-            })
-        });
+    fn take<L: Level>(
+        &mut self,
+        run: Range<usize>,
+        component: u32,
+        near: f32,
+        tags: &[u32],
+        sort: Sort<'_>,
+    ) {
+        for candidates in &mut self.lists {
+            candidates.make_room(run.len() + LANES);
+        }
         let slack = 1.0 + self.slack();
         let (limit, near) = (L::all(self.limit * slack), L::all(near * slack));
         let descent = L::all(-self.descent);
         let zero = L::all(0.0);
-        self.flags.clear();
-        for i in 0..n {
+        let blocks = self.blocks;
+        for number in run.start / LANES..run.end.div_ceil(LANES) {
+            let chunk = &blocks.chunks[number];
+            let from = number * LANES;
             let mut nearest = zero;
             let mut scaled = [zero; 3];
+            let mut k = [zero; 3];
             for a in 0..3 {
-                let d = L::sub(L::load_i16(&k[a][i]), L::all(self.middle[a]));
+                let at = L::load_i16(&chunk.k[a]);
+                let d = L::sub(at, L::all(self.middle[a]));
                 let size = L::max(d, L::sub(zero, d));
                 let beyond = L::max(L::sub(size, L::all(self.half[a])), zero);
                 let square = L::all(self.squares[a]);
                 nearest = L::add(nearest, L::mul(square, L::mul(beyond, beyond)));
                 scaled[a] = L::mul(square, d);
+                k[a] = L::sub(at, L::all(self.origin[a] as f32));
             }
-            // 2 (q - c).s + 2 half.|s| + |s|^2 < 0 for a step s that leads nearer to all points of the box
-            let mut lowest = zero;
-            for step in &steps {
-                let step = [
-                    L::load_i8(&step[0][i]),
-                    L::load_i8(&step[1][i]),
-                    L::load_i8(&step[2][i]),
-                ];
-                lowest = L::min(dot::<L>(step, scaled), lowest);
+            let mut kept = L::bits(L::at_most(nearest, limit));
+            if from < run.start {
+                kept &= u16::MAX << (run.start - from);
             }
-            self.flags.push(Flags {
-                kept: L::bits(L::at_most(nearest, limit)),
-                near: L::bits(L::at_most(nearest, near)),
-                hub: L::bits(L::at_most(descent, lowest)),
-            });
-        }
-    }
-
-    /// Sorts what was flagged into the lists.
-    #[inline(always)]
-    fn take<L: Level>(&mut self, run: Range<usize>, component: u32, tags: &[u32], sort: Sort<'_>) {
-        for candidates in &mut self.lists {
-            candidates.make_room(run.len() + LANES);
-        }
-        let origin = self.origin.map(|k| L::all(k as f32));
-        let blocks = self.blocks;
-        for i in 0..self.flags.len() {
-            let flags = self.flags[i];
-            let from = run.start + i * LANES;
-            let mut kept = flags.kept;
-            if run.end - from < LANES {
+            if run.end < from + LANES {
                 kept &= (1 << (run.end - from)) - 1;
             }
             if kept == 0 {
                 continue;
             }
-            let same = L::bits(L::equal(sixteen(&blocks.component, from), component));
+            let same = L::bits(L::equal(&chunk.component, component));
             let mut apart = kept & !same;
             while apart != 0 {
                 let place = from + apart.trailing_zeros() as usize;
@@ -485,22 +449,28 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
                 self.apart.push_labelled(k, place as u32, tags[place], 0);
             }
             kept &= same;
-            let mut hub = kept & flags.hub;
-            while hub != 0 {
-                let place = from + hub.trailing_zeros() as usize;
-                hub &= hub - 1;
-                self.push_hub(self.relative(place), place);
+            // 2 (q - c).s + 2 half.|s| + |s|^2 < 0 for a step s that leads nearer to all points of the box
+            let mut lowest = zero;
+            for step in &chunk.steps {
+                let step = [
+                    L::load_i8(&step[0]),
+                    L::load_i8(&step[1]),
+                    L::load_i8(&step[2]),
+                ];
+                lowest = L::min(dot::<L>(step, scaled), lowest);
             }
-            let k = [
-                L::sub(L::load_i16(sixteen(&blocks.k[0], from)), origin[0]),
-                L::sub(L::load_i16(sixteen(&blocks.k[1], from)), origin[1]),
-                L::sub(L::load_i16(sixteen(&blocks.k[2], from)), origin[2]),
-            ];
+            let mut hub = kept & L::bits(L::at_most(descent, lowest));
+            while hub != 0 {
+                let lane = hub.trailing_zeros() as usize;
+                hub &= hub - 1;
+                self.push_hub(chunk, lane);
+            }
             let tags = sixteen(tags, from);
             match sort {
                 Sort::Near(_) => {
-                    self.lists[0].take::<L>(k, from, tags, kept & flags.near);
-                    self.lists[1].take::<L>(k, from, tags, kept & !flags.near);
+                    let near = L::bits(L::at_most(nearest, near));
+                    self.lists[0].take::<L>(k, from, tags, kept & near);
+                    self.lists[1].take::<L>(k, from, tags, kept & !near);
                 }
                 Sort::ByClass(classes) => {
                     let classes = sixteen(classes, from);
@@ -513,7 +483,7 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
         }
     }
 
-    fn push_hub(&mut self, k: [f32; 3], place: usize) {
+    fn push_hub(&mut self, chunk: &Chunk, lane: usize) {
         let at = self.hub.len;
         if self.hub.k[0].len() < at + LANES {
             let room = (at + LANES).next_power_of_two();
@@ -523,9 +493,9 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
             }
         }
         for a in 0..3 {
-            self.hub.k[a][at] = k[a];
+            self.hub.k[a][at] = (i32::from(chunk.k[a][lane]) - self.origin[a]) as f32;
             for side in 0..4 {
-                self.hub.steps[side][a][at] = f32::from(self.blocks.steps[side][a][place]);
+                self.hub.steps[side][a][at] = f32::from(chunk.steps[side][a][lane]);
             }
         }
         self.hub.len += 1;
@@ -673,23 +643,23 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
     #[inline(always)]
     fn descend<L: Level>(&mut self) {
         let sides = &mut self.labelling.sides;
-        sides.resize(self.blocks.len() + LANES, NO_SIDE);
+        sides.resize(self.blocks.chunks.len() * LANES, NO_SIDE);
         let descent = L::all(-self.descent);
         for run in &self.runs {
-            for from in run.clone().step_by(LANES) {
+            for number in run.start / LANES..run.end.div_ceil(LANES) {
+                let chunk = &self.blocks.chunks[number];
                 let mut scaled = [L::all(0.0); 3];
                 for a in 0..3 {
-                    let k = L::load_i16(sixteen(&self.blocks.k[a], from));
-                    let d = L::sub(k, L::all(self.middle[a]));
+                    let d = L::sub(L::load_i16(&chunk.k[a]), L::all(self.middle[a]));
                     scaled[a] = L::mul(L::all(self.squares[a]), d);
                 }
                 let mut lowest = L::all(0.0);
                 let mut changes = [lowest; 4];
-                for (change, step) in changes.iter_mut().zip(&self.blocks.steps) {
+                for (change, step) in changes.iter_mut().zip(&chunk.steps) {
                     let step = [
-                        L::load_i8(sixteen(&step[0], from)),
-                        L::load_i8(sixteen(&step[1], from)),
-                        L::load_i8(sixteen(&step[2], from)),
+                        L::load_i8(&step[0]),
+                        L::load_i8(&step[1]),
+                        L::load_i8(&step[2]),
                     ];
                     *change = dot::<L>(step, scaled);
                     lowest = L::min(*change, lowest);
@@ -699,7 +669,7 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
                 for side in 0..4 {
                     best[side] = L::bits(L::at_most(changes[side], lowest));
                 }
-                let to = sixteen_mut(sides, from);
+                let to = sixteen_mut(sides, number * LANES);
                 for (i, to) in to.iter_mut().enumerate() {
                     let is = |bits: u16| (bits >> i & 1) as u8;
                     // the first of the best sides
@@ -836,7 +806,7 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
                     kept.filter(|(_, labels)| labels[0] != NONE)
                         .map(|(pair, _)| {
                             let place = work.places[pair[end] as usize] as usize;
-                            (i32::from(blocks.k[a][place]) - origin[a]) as f32
+                            (i32::from(blocks.k_at(place)[a]) - origin[a]) as f32
                         }),
                 );
                 list.resize(list.len().next_multiple_of(LANES), NOWHERE);
@@ -959,7 +929,7 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
     /// border of an open image: it has an end in the ball unless it is a whole component.
     #[must_use]
     pub(crate) fn rim(&self, member: usize, count: u32, open: bool) -> Rim {
-        let component = self.blocks.component[self.members[member] as usize];
+        let component = self.blocks.component(self.members[member] as usize);
         let component = &self.blocks.components[component as usize];
         Rim {
             cut_by_ball: count != component.size || component.goes_on,

@@ -425,6 +425,24 @@ impl BitBox {
         self.row(p[1], p[2])[x / 64] >> (x % 64) & 1 == 1
     }
 
+    /// The number of the bit of a voxel among all bits of the box, and how far the next one along each axis is.
+    #[inline]
+    #[must_use]
+    pub fn bit(&self, p: [i32; 3]) -> (usize, [isize; 3]) {
+        let [x, y, z] = [0, 1, 2].map(|a| (p[a] - self.lo[a]) as usize);
+        let row = 64 * self.words_per_row;
+        let plane = row * self.size[1] as usize;
+        let strides = [1, row as isize, plane as isize];
+        (z * plane + y * row + x, strides)
+    }
+
+    /// The bit of this number: 1 if the voxel is inside the solid.
+    #[inline(always)]
+    #[must_use]
+    pub fn at(&self, bit: usize) -> usize {
+        (self.words[bit / 64] >> (bit % 64) & 1) as usize
+    }
+
     /// Up to 64 voxels of a row from `x` on, bit 0 being `x`.
     #[inline]
     #[must_use]
