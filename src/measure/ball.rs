@@ -472,9 +472,9 @@ impl BallKernel {
         let mut omega = [0.0; 2];
         for k in 0..2 {
             for (to, &x) in measures[k].iter_mut().zip(&sums.measures[k]) {
-                *to = number(x) / unit;
+                *to = fixed::number(x) / unit;
             }
-            omega[k] = number(sums.omega[k]) / unit;
+            omega[k] = fixed::number(sums.omega[k]) / unit;
         }
         let (x, omega, evidence) = match self.weights {
             Weights::Compensated(of) => {
@@ -724,11 +724,6 @@ impl BallKernel {
         let d = [a, middle, b].map(|k| self.distance(k, centre));
         self.inclusion(d[0].min(d[1]).min(d[2]), d[0].max(d[1]).max(d[2]))
     }
-}
-
-/// An integer as a number; nearly all fit 64 bits, which is quicker.
-fn number(x: i128) -> f64 {
-    i64::try_from(x).map_or_else(|_| x as f64, |x| x as f64)
 }
 
 /// 0 below a range, 1 above it, and smooth between.

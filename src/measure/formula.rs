@@ -34,6 +34,7 @@ const PARALLEL: f64 = 1e-12;
 ///
 /// Zero where the normals are parallel; also where they are opposite, where the paper's
 /// condition (ii) fails and there is no axis to turn about.
+#[inline(always)]
 #[must_use]
 pub fn linel_tensor(u_f: DVec3, u_g: DVec3, e: DVec3, length: f64) -> Symmetric {
     let cross = u_f.cross(u_g);
@@ -60,6 +61,7 @@ pub fn linel_tensor(u_f: DVec3, u_g: DVec3, e: DVec3, length: f64) -> Symmetric 
 
 /// Signed area of the spherical triangle of three unit vectors: positive if they turn
 /// counter-clockwise seen from outside the sphere; in (-2 pi, 2 pi].
+#[inline(always)]
 #[must_use]
 pub fn spherical_triangle(a: DVec3, b: DVec3, c: DVec3) -> f64 {
     2.0 * atan2(a.dot(b.cross(c)), 1.0 + a.dot(b) + b.dot(c) + c.dot(a))
@@ -72,6 +74,7 @@ pub fn spherical_triangle(a: DVec3, b: DVec3, c: DVec3) -> f64 {
 /// lower number as f and take the negative for (g, f), which makes the area exactly antisymmetric.
 /// Zero where u_f and u_g, or the ends of the diagonal, are opposite: the arc from u_f to u_g then
 /// runs through n_f and n_g.
+#[inline(always)]
 #[must_use]
 pub fn swept_area(n_f: DVec3, n_g: DVec3, u_f: DVec3, u_g: DVec3) -> f64 {
     let (from_f, from_g) = (n_f.dot(u_g), n_g.dot(u_f));

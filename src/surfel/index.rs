@@ -224,33 +224,33 @@ impl SurfelIndex {
     }
 
     /// Calls `f` for each surfel in order: its kind and owning cell.
+    #[inline(always)]
     pub fn for_each(&self, mut f: impl FnMut(Kind, [i32; 3])) {
         let CellBox { lo, hi } = self.cells;
         let mut row = 0;
-        let scan = |kind, row: usize, y, z, f: &mut dyn FnMut(Kind, [i32; 3])| {
-            for (w, &word) in self.words[row * self.words_per_row..][..self.words_per_row]
-                .iter()
-                .enumerate()
-            {
-                let mut rest = word;
-                while rest != 0 {
-                    f(
-                        kind,
-                        [lo[0] + 64 * w as i32 + rest.trailing_zeros() as i32, y, z],
-                    );
-                    rest &= rest - 1;
-                }
-            }
-        };
         for z in lo[2]..hi[2] {
             for y in lo[1]..hi[1] {
-                scan(Kind::Z, row, y, z, &mut f);
+                self.scan(Kind::Z, row, [y, z], &mut f);
                 row += 1;
             }
             for y in lo[1]..hi[1] {
-                scan(Kind::Y, row, y, z, &mut f);
-                scan(Kind::X, row + 1, y, z, &mut f);
+                self.scan(Kind::Y, row, [y, z], &mut f);
+                self.scan(Kind::X, row + 1, [y, z], &mut f);
                 row += 2;
+            }
+        }
+    }
+
+    /// Calls `f` for each surfel of a row.
+    #[inline(always)]
+    fn scan(&self, kind: Kind, row: usize, [y, z]: [i32; 2], f: &mut impl FnMut(Kind, [i32; 3])) {
+        let words = &self.words[row * self.words_per_row..][..self.words_per_row];
+        for (w, &word) in words.iter().enumerate() {
+            let mut rest = word;
+            while rest != 0 {
+                let x = self.cells.lo[0] + 64 * w as i32 + rest.trailing_zeros() as i32;
+                f(kind, [x, y, z]);
+                rest &= rest - 1;
             }
         }
     }

@@ -8,8 +8,9 @@
 //! **Without walking.** A surfel is *descending* for the group if one of its neighbours is nearer to every point
 //! of the box around the members. From a descending surfel in W(p) a path through W(p) leads to one that is not,
 //! since squared distances are integers. Those that are not are the *hub*, a few around the group; if for a
-//! member p each surfel of the hub in W(p) but p itself has a neighbour nearer to p, then every path ends
-//! at p, and W(p) = C(p) as far as candidates go. On smooth surfaces nearly every member passes.
+//! member p each surfel of the hub in W(p) but p itself has a neighbour nearer to p, or some path through W(p) to a
+//! surfel nearer to p, then every path ends at p, and W(p) = C(p) as far as candidates go. On smooth surfaces every
+//! member passes by its neighbours, and where there is noise most do by a short search.
 //!
 //! **With labels.** Where some member does not pass, candidates are labelled by the surfel of the hub
 //! that they descend to, and labels are joined across linels between surfels that are in the balls of all
@@ -28,10 +29,13 @@ use crate::simd::{LANES, Level, dot};
 
 use super::blocks::{Blocks, Chunk, NONE, find, unite};
 use super::squares::Squares;
-use super::walk::Rim;
+use super::walk::{Rim, displacement};
 
 /// A coordinate that is in no ball.
 const NOWHERE: f32 = 1e6;
+
+/// Surfels that a search for a path looks at, at most.
+const SEARCHED: usize = 48;
 
 /// No side leads nearer to all members.
 const NO_SIDE: u8 = 4;
@@ -184,6 +188,7 @@ fn sixteen_mut<T>(list: &mut [T], from: usize) -> &mut [T; LANES] {
 #[derive(Clone, Debug, Default)]
 struct Hub {
     len: usize,
+    place: Vec<u32>,
     k: [Vec<f32>; 3],
     /// Displacements to the neighbours, by side and axis.
     steps: [[Vec<f32>; 3]; 4],
@@ -463,7 +468,7 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
             while hub != 0 {
                 let lane = hub.trailing_zeros() as usize;
                 hub &= hub - 1;
-                self.push_hub(chunk, lane);
+                self.push_hub(chunk, lane, from + lane);
             }
             let tags = sixteen(tags, from);
             match sort {
@@ -483,7 +488,7 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
         }
     }
 
-    fn push_hub(&mut self, chunk: &Chunk, lane: usize) {
+    fn push_hub(&mut self, chunk: &Chunk, lane: usize, place: usize) {
         let at = self.hub.len;
         if self.hub.k[0].len() < at + LANES {
             let room = (at + LANES).next_power_of_two();
@@ -492,6 +497,8 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
                 list.resize(room, 0.0);
             }
         }
+        self.hub.place.truncate(at);
+        self.hub.place.push(place as u32);
         for a in 0..3 {
             self.hub.k[a][at] = (i32::from(chunk.k[a][lane]) - self.origin[a]) as f32;
             for side in 0..4 {
@@ -516,6 +523,7 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
     #[inline(always)]
     fn pass_members<L: Level>(&mut self) {
         self.passed.clear();
+        let mut all = true;
         let n = self.hub.len.next_multiple_of(LANES);
         let k = [0, 1, 2].map(|a| self.hub.k[a][..n].as_chunks::<LANES>().0);
         let steps = [0, 1, 2, 3]
@@ -527,7 +535,7 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
         let least = L::all(1e-9);
         for number in 0..self.members.len() {
             let p = self.relative(self.members[number] as usize).map(L::all);
-            let mut stuck = 0;
+            let mut connected = true;
             for i in 0..k[0].len() {
                 let d = [
                     L::sub(L::load(&k[0][i]), p[0]),
@@ -557,10 +565,52 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
                     lowest = L::min(change, lowest);
                 }
                 let in_ball = L::and(L::at_most(squared, limit), L::at_most(least, squared));
-                stuck |= L::bits(L::and(in_ball, L::at_most(slack, lowest)));
+                let mut stuck = L::bits(L::and(in_ball, L::at_most(slack, lowest)));
+                // Once labels are needed they answer for the others too.
+                while stuck != 0 && connected && all {
+                    let at = i * LANES + stuck.trailing_zeros() as usize;
+                    stuck &= stuck - 1;
+                    connected = self.gets_nearer(self.hub.place[at], self.members[number]);
+                }
+                connected &= stuck == 0;
             }
-            self.passed.push(stuck == 0);
+            all &= connected;
+            self.passed.push(connected);
         }
+    }
+
+    /// Whether some path from a surfel, through others in the ball of a member, leads to one that is nearer to
+    /// the member, as far as a short search tells.
+    fn gets_nearer(&self, from: u32, member: u32) -> bool {
+        let centre = self.blocks.k_at(member as usize);
+        let squared = |place: u32| {
+            let d = displacement(self.blocks.k_at(place as usize), centre);
+            self.ball.metric.squared(d)
+        };
+        let least = squared(from);
+        let mut seen = [from; SEARCHED];
+        let (mut next, mut end) = (0, 1);
+        while next < end {
+            for side in &self.blocks.across {
+                let place = side[seen[next] as usize];
+                if place == NONE || seen[..end].contains(&place) {
+                    continue;
+                }
+                let square = squared(place);
+                if square < least {
+                    return true;
+                }
+                if square <= self.ball.limit {
+                    if end == SEARCHED {
+                        return false;
+                    }
+                    seen[end] = place;
+                    end += 1;
+                }
+            }
+            next += 1;
+        }
+        false
     }
 
     /// Coordinates of a place as those of the candidates are.

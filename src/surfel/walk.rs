@@ -110,5 +110,9 @@ impl Walker {
 #[inline]
 #[must_use]
 pub fn displacement(to: [i16; 3], from: [i16; 3]) -> [i32; 3] {
-    [0, 1, 2].map(|a| i32::from(to[a]) - i32::from(from[a]))
+    [
+        i32::from(to[0]) - i32::from(from[0]),
+        i32::from(to[1]) - i32::from(from[1]),
+        i32::from(to[2]) - i32::from(from[2]),
+    ]
 }
