@@ -122,11 +122,11 @@ struct Counts {
     /// Ridges of C(p) and of W(p).
     ridges: u32,
     ridges_in_ball: u32,
-    /// Whether the border of the image has to do with measures of C(p), of W(p).
-    near_cut: bool,
-    near_cut_in_ball: bool,
-    /// Whether C(p) has a side on the border of an open image.
-    open: bool,
+    /// Surfels of C(p) and of W(p) with whose measures the border of the image has to do.
+    near_cut: u32,
+    near_cut_in_ball: u32,
+    /// Surfels of C(p) with a side on the border of an open image.
+    open: u32,
 }
 
 impl<'a, S: Squares> Sums<'a, S> {
@@ -333,6 +333,53 @@ impl<'a, S: Squares> Sums<'a, S> {
                 from = to;
             }
         }
+        for i in 0..P {
+            let excluded = vicinity.excluded(members[i]);
+            if excluded.is_empty() {
+                continue;
+            }
+            if added + excluded.len() > self.most_added {
+                widen(&mut sums, &mut wide);
+                added = 0;
+            }
+            added += excluded.len();
+            for places_of in excluded.chunks(CHUNK) {
+                let list = &mut buffers.excluded;
+                list.clear();
+                for &place in places_of {
+                    let k = vicinity.relative(place as usize);
+                    list.push(k, place, self.tags[place as usize]);
+                }
+                list.pad();
+                let of = Around {
+                    list,
+                    range: (0, list.padded()),
+                    centre: places[i],
+                };
+                let mut less = Counts::default();
+                let weights = &mut buffers.weights[i];
+                self.weigh::<L, K, false>(&of, false, true, false, &[], weights, &mut less);
+                let c = &mut counts[i];
+                c.connected -= less.connected;
+                c.ridges -= less.ridges;
+                c.near_cut -= less.near_cut;
+                c.open -= less.open;
+                if whole {
+                    continue;
+                }
+                for k in 0..K {
+                    for (q, &place) in places_of.iter().enumerate() {
+                        let w = buffers.weights[i][k][q];
+                        for t in 0..8 {
+                            sums[k][i][t] -= w * self.lumps[place as usize][t];
+                        }
+                        if !self.omega.is_empty() {
+                            wide_omega[k][i] -= (w * self.omega[place as usize]) as i128;
+                        }
+                    }
+                }
+            }
+        }
         widen(&mut sums, &mut wide);
         for i in 0..P {
             let c = counts[i];
@@ -344,9 +391,9 @@ impl<'a, S: Squares> Sums<'a, S> {
             finished.push(GroupSums {
                 measures: std::array::from_fn(|k| if k < K { wide[k][i] } else { [0; 8] }),
                 omega: std::array::from_fn(|k| if k < K { wide_omega[k][i] } else { 0 }),
-                rim: vicinity.rim(members[i], c.connected, c.open),
+                rim: vicinity.rim(members[i], c.connected, c.open > 0),
                 several_sheets: c.in_ball > c.connected,
-                near_cut,
+                near_cut: near_cut > 0,
                 count,
                 ridges,
             });
@@ -426,9 +473,9 @@ impl<'a, S: Squares> Sums<'a, S> {
                 let (inside, counted) = (L::bits(inside), L::bits(counted));
                 counts.ridges += (counted & tagged[0]).count_ones();
                 counts.ridges_in_ball += (inside & tagged[0]).count_ones();
-                counts.near_cut |= counted & tagged[1] != 0;
-                counts.near_cut_in_ball |= inside & tagged[1] != 0;
-                counts.open |= counted & tagged[2] != 0;
+                counts.near_cut += (counted & tagged[1]).count_ones();
+                counts.near_cut_in_ball += (inside & tagged[1]).count_ones();
+                counts.open += (counted & tagged[2]).count_ones();
             }
             if K == 1 {
                 L::store_chosen(one, summed, &mut w0[i]);
@@ -494,12 +541,15 @@ struct Around<'a> {
 /// Weights of the candidates of a chunk, by member and weight.
 struct Buffers {
     weights: Box<[[[f64; CHUNK]; 2]; MOST_MEMBERS]>,
+    /// What is taken away again.
+    excluded: Candidates,
 }
 
 impl Default for Buffers {
     fn default() -> Self {
         Self {
             weights: Box::new([[[0.0; CHUNK]; 2]; MOST_MEMBERS]),
+            excluded: Candidates::default(),
         }
     }
 }

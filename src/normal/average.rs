@@ -15,7 +15,7 @@ use crate::lattice::{Ball, Lattice};
 use crate::simd::{LANES, Level, Work, dispatch};
 use crate::surfel::squares::{Boxes, Cubes, Squares};
 use crate::surfel::vicinity::{Candidates, Groups, Sort, Vicinity};
-use crate::surfel::{Blocks, CellBox, Links, SurfelIndex, Surfels};
+use crate::surfel::{Blocks, CellBox, Links, SurfelIndex, Surfels, displacement};
 use crate::volume::{BitBox, PlaneWindow};
 
 use super::{Normals, trivial_normal};
@@ -151,7 +151,7 @@ impl Averages<'_> {
                 let centre = vicinity.relative(member as usize);
                 let connected = vicinity.connected(m);
                 let mut average = Average::default();
-                let (mut count, mut open) = (0, false);
+                let (mut count, mut open) = (0, 0);
                 for orientation in 0..6 {
                     let mut own = Counted::default();
                     if connected.main {
@@ -165,8 +165,19 @@ impl Averages<'_> {
                     sums[0] += sign * i64::from(own.count);
                     sums[1] += sign * own.squares as i64;
                     count += own.count;
-                    open |= own.open;
+                    open += own.open;
                 }
+                for &place in vicinity.excluded(m) {
+                    let orientation = orientations[place as usize] as u8;
+                    let d = displacement(blocks.k_at(place as usize), blocks.k_at(member as usize));
+                    let sign = i64::from(sign(orientation));
+                    let sums = &mut average.normals[axis(orientation)];
+                    sums[0] -= sign;
+                    sums[1] -= sign * self.ball.metric.squared(d);
+                    count -= 1;
+                    open -= tags[place as usize];
+                }
+                let open = open > 0;
                 let rim = vicinity.rim(m, count, open);
                 average.is_island = rim.is_island();
                 average.open = rim.open;
@@ -182,7 +193,7 @@ impl Averages<'_> {
 struct Counted {
     count: u32,
     squares: u64,
-    open: bool,
+    open: u32,
 }
 
 impl Counted {
@@ -212,7 +223,7 @@ impl Counted {
             }
             self.count += L::bits(counted).count_ones();
             if let Some([open, ..]) = list.tagged(i) {
-                self.open |= L::bits(counted) & open != 0;
+                self.open += (L::bits(counted) & open).count_ones();
             }
             sums = S::sum::<L>(square, counted, sums);
         }

@@ -200,7 +200,7 @@ impl Blocks {
 
     /// Khalimsky coordinates of a place.
     #[inline]
-    pub(super) fn k_at(&self, place: usize) -> [i16; 3] {
+    pub(crate) fn k_at(&self, place: usize) -> [i16; 3] {
         let (chunk, lane) = (&self.chunks[place / LANES], place % LANES);
         [chunk.k[0][lane], chunk.k[1][lane], chunk.k[2][lane]]
     }

@@ -8,11 +8,12 @@
 //! **Without walking.** A surfel is *descending* for the group if one of its neighbours is nearer to every point
 //! of the box around the members. From a descending surfel in W(p) a path through W(p) leads to one that is not,
 //! since squared distances are integers. Those that are not are the *hub*, a few around the group; if for a
-//! member p each surfel of the hub in W(p) but p itself has a neighbour nearer to p, or some path through W(p) to a
-//! surfel nearer to p, then every path ends at p, and W(p) = C(p) as far as candidates go. On smooth surfaces every
-//! member passes by its neighbours, and where there is noise most do by a short search.
+//! member p each surfel of the hub in W(p) but p itself has a neighbour nearer to p, then every path ends at p, and W(p) = C(p) as far as
+//! candidates go. On smooth surfaces that is so for every member. Elsewhere a short search from each that has none finds
+//! a path through W(p) to something nearer, or that there is none, and then all that it saw is *excluded*: pieces
+//! of bumps at the rim of the ball, say.
 //!
-//! **With labels.** Where some member does not pass, candidates are labelled by the surfel of the hub
+//! **With labels.** Where a search is too short for some member, candidates are labelled by the surfel of the hub
 //! that they descend to, and labels are joined across linels between surfels that are in the balls of all
 //! members (the *core*). What is then left between different labels are *edges*: pairs of
 //! neighbours that count for a member if both are in its ball. So each member joins a handful of labels instead of
@@ -97,7 +98,7 @@ impl Candidates {
         self.tag[at] = tag;
     }
 
-    fn clear(&mut self) {
+    pub(crate) fn clear(&mut self) {
         self.len = 0;
         self.has_tags = false;
     }
@@ -123,6 +124,10 @@ impl Candidates {
         self.len += chosen.count_ones() as usize;
     }
 
+    pub(crate) fn push(&mut self, k: [f32; 3], place: u32, tag: u32) {
+        self.push_labelled(k, place, tag, 0);
+    }
+
     fn push_labelled(&mut self, k: [f32; 3], place: u32, tag: u32, label: u32) {
         self.make_room(1);
         self.set(self.len, k, place, tag);
@@ -131,7 +136,7 @@ impl Candidates {
         self.len += 1;
     }
 
-    fn pad(&mut self) {
+    pub(crate) fn pad(&mut self) {
         self.make_room(0);
         for at in self.len..self.padded() {
             self.set(at, [NOWHERE; 3], 0, 0);
@@ -194,6 +199,16 @@ struct Hub {
     steps: [[Vec<f32>; 3]; 4],
 }
 
+/// What a search finds.
+enum Search {
+    /// A path leads nearer to the member.
+    Nearer,
+    /// None does; these places, as many as said, are all that is connected to where it began.
+    Separate([u32; SEARCHED], usize),
+    /// It was too short.
+    Unknown,
+}
+
 /// Pairs of neighbours of different labels.
 #[derive(Clone, Debug, Default)]
 struct Edges {
@@ -233,7 +248,12 @@ pub(crate) struct Vicinity<'a, const LISTS: usize> {
     apart: Candidates,
     hub: Hub,
     runs: Vec<Range<usize>>,
+    /// For each member, whether it is known without labels what is connected to it; ends with the first for which
+    /// it is not.
     passed: Vec<bool>,
+    /// Places of surfels in the ball of a member that are not connected to it, member by member.
+    excluded: Vec<u32>,
+    excluded_to: Vec<u32>,
     /// Whether candidates have labels, and how many there are.
     labels: Option<usize>,
     /// For each member, 1 for each label that is connected to it; the label of `lists` first.
@@ -341,6 +361,8 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
             hub: Hub::default(),
             runs: Vec::new(),
             passed: Vec::new(),
+            excluded: Vec::new(),
+            excluded_to: Vec::new(),
             labels: None,
             alive: Vec::new(),
             labelling: Labelling::default(),
@@ -451,7 +473,7 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
                 let place = from + apart.trailing_zeros() as usize;
                 apart &= apart - 1;
                 let k = self.relative(place);
-                self.apart.push_labelled(k, place as u32, tags[place], 0);
+                self.apart.push(k, place as u32, tags[place]);
             }
             kept &= same;
             // 2 (q - c).s + 2 half.|s| + |s|^2 < 0 for a step s that leads nearer to all points of the box
@@ -523,7 +545,8 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
     #[inline(always)]
     fn pass_members<L: Level>(&mut self) {
         self.passed.clear();
-        let mut all = true;
+        self.excluded.clear();
+        self.excluded_to.clear();
         let n = self.hub.len.next_multiple_of(LANES);
         let k = [0, 1, 2].map(|a| self.hub.k[a][..n].as_chunks::<LANES>().0);
         let steps = [0, 1, 2, 3]
@@ -535,7 +558,8 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
         let least = L::all(1e-9);
         for number in 0..self.members.len() {
             let p = self.relative(self.members[number] as usize).map(L::all);
-            let mut connected = true;
+            let first = self.excluded.len();
+            let mut known = true;
             for i in 0..k[0].len() {
                 let d = [
                     L::sub(L::load(&k[0][i]), p[0]),
@@ -566,28 +590,44 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
                 }
                 let in_ball = L::and(L::at_most(squared, limit), L::at_most(least, squared));
                 let mut stuck = L::bits(L::and(in_ball, L::at_most(slack, lowest)));
-                // Once labels are needed they answer for the others too.
-                while stuck != 0 && connected && all {
+                while stuck != 0 && known {
                     let at = i * LANES + stuck.trailing_zeros() as usize;
                     stuck &= stuck - 1;
-                    connected = self.gets_nearer(self.hub.place[at], self.members[number]);
+                    let place = self.hub.place[at];
+                    if self.excluded[first..].contains(&place) {
+                        continue;
+                    }
+                    match self.search(place, self.members[number]) {
+                        Search::Nearer => {}
+                        Search::Separate(places, count) => {
+                            self.excluded.extend_from_slice(&places[..count]);
+                        }
+                        Search::Unknown => known = false,
+                    }
                 }
-                connected &= stuck == 0;
             }
-            all &= connected;
-            self.passed.push(connected);
+            self.passed.push(known);
+            self.excluded_to.push(self.excluded.len() as u32);
+            if !known {
+                // Labels are needed, and answer for all.
+                break;
+            }
         }
     }
 
-    /// Whether some path from a surfel, through others in the ball of a member, leads to one that is nearer to
-    /// the member, as far as a short search tells.
-    fn gets_nearer(&self, from: u32, member: u32) -> bool {
+    /// Looks for a path from a surfel, through others in the ball of a member, to one that is nearer to the member. Where
+    /// there is none, all that is connected to the surfel was seen, and is not connected to the member.
+    fn search(&self, from: u32, member: u32) -> Search {
         let centre = self.blocks.k_at(member as usize);
         let squared = |place: u32| {
             let d = displacement(self.blocks.k_at(place as usize), centre);
             self.ball.metric.squared(d)
         };
         let least = squared(from);
+        if least > self.ball.limit {
+            // it only seemed to be in the ball, in single precision
+            return Search::Nearer;
+        }
         let mut seen = [from; SEARCHED];
         let (mut next, mut end) = (0, 1);
         while next < end {
@@ -598,11 +638,11 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
                 }
                 let square = squared(place);
                 if square < least {
-                    return true;
+                    return Search::Nearer;
                 }
                 if square <= self.ball.limit {
                     if end == SEARCHED {
-                        return false;
+                        return Search::Unknown;
                     }
                     seen[end] = place;
                     end += 1;
@@ -610,7 +650,7 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
             }
             next += 1;
         }
-        false
+        Search::Separate(seen, end)
     }
 
     /// Coordinates of a place as those of the candidates are.
@@ -628,13 +668,18 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
     /// Labels the candidates if that is needed to tell which are connected to the members. `squares` are those of the ball.
     #[inline(always)]
     pub(crate) fn connect<L: Level, S: Squares>(&mut self, squares: S) {
-        let mut all = true;
-        for passed in &self.passed {
-            all &= passed;
-        }
-        if all {
+        if self.passed.last() == Some(&true) {
             return;
         }
+        // Which of those that passed had something excluded?
+        let mut from = 0;
+        for (passed, &to) in self.passed.iter_mut().zip(&self.excluded_to) {
+            *passed &= to == from;
+            from = to;
+        }
+        self.passed.resize(self.members.len(), false);
+        self.excluded.clear();
+        self.excluded_to.clear();
         self.descend::<L>();
         self.find_core::<L>();
         self.label();
@@ -921,7 +966,7 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
                         list.set(kept, k, place, tag);
                         kept += 1;
                     }
-                    NONE => self.apart.push_labelled(k, place, tag, 0),
+                    NONE => self.apart.push(k, place, tag),
                     _ => labelled.push_labelled(k, place, tag, label),
                 }
             }
@@ -973,6 +1018,20 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
                 }
             }
         }
+    }
+
+    /// Places of candidates in the ball of a member that are not connected to it, although [`Self::connected`] says so.
+    #[inline(always)]
+    pub(crate) fn excluded(&self, member: usize) -> &[u32] {
+        if self.excluded.is_empty() {
+            return &[];
+        }
+        let from = if member == 0 {
+            0
+        } else {
+            self.excluded_to[member - 1]
+        };
+        &self.excluded[from as usize..self.excluded_to[member] as usize]
     }
 
     /// How C(p) of a member ends, given how many surfels it has and whether one of them has a side on the

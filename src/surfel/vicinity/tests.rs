@@ -53,15 +53,15 @@ impl<S: Squares> Work for Sets<'_, S> {
                     ball.contains(d)
                 };
                 let connected = vicinity.connected(m);
-                let (mut part, mut in_ball, mut open) = (Vec::new(), 0, false);
+                let (mut part, mut in_ball, mut open) = (Vec::new(), 0, 0);
                 for (number, list) in vicinity.lists().iter().enumerate() {
                     for at in (0..list.len).filter(|&at| inside(list, at)) {
                         in_ball += 1;
                         if connected.main {
                             part.push(surfels[list.place[at] as usize]);
-                            open |= list
+                            open += list
                                 .tagged(at / LANES)
-                                .is_some_and(|t| t[0] >> (at % LANES) & 1 == 1);
+                                .map_or(0, |t| u32::from(t[0] >> (at % LANES) & 1));
                         }
                         // those far from all members are not near to one
                         let k = list.k(at);
@@ -74,14 +74,21 @@ impl<S: Squares> Work for Sets<'_, S> {
                         in_ball += 1;
                         if connected.labels[list.label[at] as usize] == 1 {
                             part.push(surfels[list.place[at] as usize]);
-                            open |= list
+                            open += list
                                 .tagged(at / LANES)
-                                .is_some_and(|t| t[0] >> (at % LANES) & 1 == 1);
+                                .map_or(0, |t| u32::from(t[0] >> (at % LANES) & 1));
                         }
                     }
                 }
                 let apart = vicinity.apart();
                 in_ball += (0..apart.len).filter(|&at| inside(apart, at)).count();
+                for &place in vicinity.excluded(m) {
+                    let surfel = surfels[place as usize];
+                    let at = part.iter().position(|&q| q == surfel).expect("was counted");
+                    part.swap_remove(at);
+                    open -= tags[place as usize];
+                }
+                let open = open > 0;
                 part.sort_unstable();
                 let rim = vicinity.rim(m, part.len() as u32, open);
                 let several = in_ball > part.len();
