@@ -242,9 +242,7 @@ impl Work for SumsOf<'_> {
                 marks: &self.measures.marks,
                 starts: self.starts,
             };
-            let sums = grouped::sum::<L>(&task);
-            let sums = sums.iter().map(|sums| self.kernel.of_group(sums, falloff));
-            return sums.collect();
+            return grouped::sum::<L, _>(&task, |sums| self.kernel.of_group(sums, falloff));
         }
         let mut scratch = BallScratch::default();
         // A loop and not an iterator: what an adapter calls is compiled for the baseline.

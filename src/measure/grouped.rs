@@ -82,9 +82,9 @@ impl Falloff {
     }
 }
 
-/// The sums around each surfel that is asked for.
+/// What `finish` makes of the sums around each surfel that is asked for.
 #[inline(always)]
-pub(super) fn sum<L: Level>(task: &Task<'_>) -> Vec<GroupSums> {
+pub(super) fn sum<L: Level, T: Copy>(task: &Task<'_>, finish: impl Fn(&GroupSums) -> T) -> Vec<T> {
     let surface = task.surface;
     let blocks = Blocks::sort(
         surface.index.cells().size(),
@@ -92,9 +92,9 @@ pub(super) fn sum<L: Level>(task: &Task<'_>) -> Vec<GroupSums> {
         &surface.links,
     );
     if task.ball.metric.is_cubic() {
-        Sums::new(task, &blocks, Cubes).run::<L>()
+        Sums::new(task, &blocks, Cubes).run::<L, T>(finish)
     } else {
-        Sums::new(task, &blocks, Boxes::of_ball(task.ball)).run::<L>()
+        Sums::new(task, &blocks, Boxes::of_ball(task.ball)).run::<L, T>(finish)
     }
 }
 
@@ -181,21 +181,9 @@ impl<'a, S: Squares> Sums<'a, S> {
     }
 
     #[inline(always)]
-    fn run<L: Level>(&self) -> Vec<GroupSums> {
+    fn run<L: Level, T: Copy>(&self, finish: impl Fn(&GroupSums) -> T) -> Vec<T> {
         let task = self.task;
-        let nothing = GroupSums {
-            measures: [[0; 8]; 2],
-            omega: [0; 2],
-            rim: Rim {
-                cut_by_ball: false,
-                open: false,
-            },
-            several_sheets: false,
-            near_cut: false,
-            count: 0,
-            ridges: 0,
-        };
-        let mut sums = vec![nothing; task.starts.len()];
+        let mut sums: Vec<Option<T>> = vec![None; task.starts.len()];
         let mut number = vec![u32::MAX; self.blocks.len()];
         for (n, &start) in task.starts.iter().enumerate() {
             number[self.blocks.place(start)] = n as u32;
@@ -226,13 +214,14 @@ impl<'a, S: Squares> Sums<'a, S> {
                 }
                 for of_member in finished.iter() {
                     if let Some(&place) = members.get(first) {
-                        sums[number[place as usize] as usize] = *of_member;
+                        sums[number[place as usize] as usize] = Some(finish(of_member));
                     }
                     first += 1;
                 }
             }
         }
-        sums
+        // each start is the member of a group
+        sums.into_iter().flatten().collect()
     }
 
     /// The sums around `P` members from `first` on, with `K` weights; the last member is taken again where there are no more.

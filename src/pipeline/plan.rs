@@ -29,7 +29,7 @@ use serde::Serialize;
 
 use crate::curvature::integral::InvariantKernel;
 use crate::lattice::Lattice;
-use crate::measure::ball::{BallKernel, Weights};
+use crate::measure::ball::BallKernel;
 use crate::normal::refine::RefineKernel;
 use crate::normal::{NormalKernel, given};
 use crate::sink::{NormalTable, Parts};
@@ -44,13 +44,17 @@ pub const FIXED_BYTES: u64 = 56 << 20;
 /// Buffers of each further column of parts that is open at the same time.
 pub const COLUMN_BYTES: u64 = 24 << 20;
 
-/// Scratch of a worker for each surfel of a brick and its halo: place, links, measures, stamps.
-pub const SCRATCH_BYTES: u64 = 120;
+/// Scratch of a worker for each surfel of a brick and its halo: place, links, measures, and
+/// [`BLOCK_BYTES`].
+pub const SCRATCH_BYTES: u64 = 92 + FLOAT_BYTES + BLOCK_BYTES;
+
+/// The same for surfels in the order of blocks: coordinates, steps, neighbours, components, tags, labels.
+const BLOCK_BYTES: u64 = 84;
 
 /// The same where linels and pointels are summed each for itself.
 pub const CELL_SCRATCH_BYTES: u64 = 300;
 
-/// The same for the measures of a surfel as floating point numbers, for weights by distance.
+/// The same for the measures of a surfel as floating point numbers.
 const FLOAT_BYTES: u64 = 64;
 
 /// Scratch of a worker for each surfel that a normal may look at.
@@ -413,9 +417,7 @@ impl Plan {
             tiles(planes, Sparse::grey_row_bytes(access.voxel_bytes))
                 .unwrap_or_else(|| stored_plane.saturating_mul(planes.min(z)))
         };
-        let by_distance = |ball: &BallKernel| matches!(ball.weights(), Weights::Compensated(_));
         let surfel_scratch = omega_bytes
-            + only_if(balls.iter().any(by_distance), FLOAT_BYTES)
             + if lumped {
                 SCRATCH_BYTES
             } else {
@@ -434,9 +436,11 @@ impl Plan {
                 grown(normal_reach, size_of::<f64>() as f64)
                     + grown([0; 3], DENSE * NORMAL_SCRATCH_BYTES as f64)
             } else {
+                let by_blocks = matches!(normals, NormalKernel::Average(_));
+                let surfel_bytes = NORMAL_SCRATCH_BYTES + only_if(by_blocks, BLOCK_BYTES);
                 normals
                     .scratch_bytes(core)
-                    .unwrap_or_else(|| grown(normal_reach, DENSE * NORMAL_SCRATCH_BYTES as f64))
+                    .unwrap_or_else(|| grown(normal_reach, DENSE * surfel_bytes as f64))
             };
             let of_sums = if invariants.is_empty() {
                 grown(ball_reach, DENSE * surfel_scratch as f64)

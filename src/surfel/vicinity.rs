@@ -836,13 +836,9 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
             if place == NONE {
                 continue;
             }
-            for side in &blocks.across {
-                let across = side[place as usize];
-                if across == NONE {
-                    continue;
-                }
+            for &across in blocks.earlier(place as usize) {
                 let other = work.slots[across as usize];
-                if other >= own as u32 || work.root[other as usize] == work.root[own] {
+                if other == NONE || work.root[other as usize] == work.root[own] {
                     continue;
                 }
                 if is_core(&work.core, own) && is_core(&work.core, other as usize) {
