@@ -557,7 +557,7 @@ fn how_a_run_is_done_does_not_show() {
         (
             "formats/head-ct/plain.nii",
             "500",
-            "96MiB",
+            "128MiB",
             &["--directions", "--radius", "3vx"][..],
         ),
         (
@@ -569,7 +569,7 @@ fn how_a_run_is_done_does_not_show() {
                 "--radius", "2vx,4vx", "--method", "paper", "--slices", "x=30..34",
             ],
         ),
-        ("volumes/lobster.vol", "40", "96MiB", &["--radius", "3vx"]),
+        ("volumes/lobster.vol", "40", "128MiB", &["--radius", "3vx"]),
     ] {
         let path: PathBuf = data.join(path);
         let mut expected = None;

@@ -280,7 +280,7 @@ impl BallKernel {
     pub fn check(radius: f64, weights: Weights, lattice: &Lattice) -> Result<(), LatticeError> {
         let [x, y, z] = lattice.edges();
         let largest = match weights {
-            // sums of floating point numbers, which have room
+            // sums in 128 bits, which have room
             Weights::Compensated(_) => MAX_RADIUS / weights.support(),
             _ => (fixed::MOST_VOXELS * x * y * z * 0.75 / std::f64::consts::PI).cbrt(),
         };

@@ -52,7 +52,7 @@ pub(super) struct Task<'a> {
     pub(super) starts: &'a [usize],
 }
 
-/// Sums around one surfel, of weight (in units of 1/[`WEIGHT_ONE`]) times measure, by weight.
+/// Sums around one surfel, of weight times measure, by weight; see [`Falloff::unit`].
 #[derive(Clone, Copy, Debug)]
 pub(super) struct GroupSums {
     pub(super) measures: [[i128; 8]; 2],
@@ -194,54 +194,55 @@ impl<'a, S: Squares> Sums<'a, S> {
             Falloff::Compensated([_, robust]) => robust.floor() as i64,
         };
         let mut buffers = Buffers::default();
-        let mut finished = Vec::with_capacity(MOST_MEMBERS);
         let groups = Groups::of(self.blocks, |place| number[place] != u32::MAX);
         for group in 0..groups.len() {
             let members = groups.members(group);
             vicinity.gather::<L>(members, &self.tags, Sort::Near(near));
             vicinity.connect::<L, S>(self.squares);
-            let mut first = 0;
-            while first < members.len() {
-                finished.clear();
-                let (vicinity, buffers, finished) = (&vicinity, &mut buffers, &mut finished);
-                match (task.falloff, L::DOUBLES) {
-                    (Falloff::Sharp, 8) => self.add::<L, 8, 1>(vicinity, first, buffers, finished),
-                    (Falloff::Sharp, 4) => self.add::<L, 4, 1>(vicinity, first, buffers, finished),
-                    (Falloff::Sharp, _) => self.add::<L, 2, 1>(vicinity, first, buffers, finished),
-                    (_, 8) => self.add::<L, 4, 2>(vicinity, first, buffers, finished),
-                    (_, 4) => self.add::<L, 2, 2>(vicinity, first, buffers, finished),
-                    _ => self.add::<L, 1, 2>(vicinity, first, buffers, finished),
-                }
-                for of_member in finished.iter() {
-                    if let Some(&place) = members.get(first) {
-                        sums[number[place as usize] as usize] = Some(finish(of_member));
-                    }
-                    first += 1;
-                }
+            match (task.falloff, L::DOUBLES) {
+                (Falloff::Sharp, 8) => self.add::<L, 8, 1>(&vicinity, &mut buffers),
+                (Falloff::Sharp, 4) => self.add::<L, 4, 1>(&vicinity, &mut buffers),
+                (Falloff::Sharp, _) => self.add::<L, 2, 1>(&vicinity, &mut buffers),
+                (_, 8) => self.add::<L, 4, 2>(&vicinity, &mut buffers),
+                (_, 4) => self.add::<L, 2, 2>(&vicinity, &mut buffers),
+                _ => self.add::<L, 1, 2>(&vicinity, &mut buffers),
+            }
+            for (m, &place) in members.iter().enumerate() {
+                let of_member = self.finished(&vicinity, m, &buffers.members[m]);
+                sums[number[place as usize] as usize] = Some(finish(&of_member));
             }
         }
-        // each start is the member of a group
-        sums.into_iter().flatten().collect()
+        let sums = sums.into_iter();
+        sums.map(|sums| sums.expect("each start is in one group, once"))
+            .collect()
     }
 
-    /// The sums around `P` members from `first` on, with `K` weights; the last member is taken again where there are no more.
+    /// The sums around all members, with `K` weights, `P` members at once. The last one is taken again until
+    /// there are a multiple of `P`.
     #[inline(always)]
     fn add<L: Level, const P: usize, const K: usize>(
         &self,
         vicinity: &Vicinity<'_, 2>,
-        first: usize,
         buffers: &mut Buffers,
-        finished: &mut Vec<GroupSums>,
     ) {
-        let members: [usize; P] =
-            std::array::from_fn(|i| (first + i).min(vicinity.members().len() - 1));
-        let places = members.map(|m| vicinity.relative(vicinity.members()[m] as usize));
-        let connected = members.map(|m| vicinity.connected(m));
+        let Buffers {
+            weights,
+            excluded,
+            members,
+        } = buffers;
+        members.clear();
+        let count = vicinity.members().len();
+        for m in 0..count.next_multiple_of(P) {
+            let place = vicinity.members()[m.min(count - 1)];
+            members.push(Member {
+                centre: vicinity.relative(place as usize),
+                sums: [[0.0; 8]; 2],
+                wide: [[0; 8]; 2],
+                omega: [0; 2],
+                counts: Counts::default(),
+            });
+        }
         let whole = self.task.extent == Extent::Whole;
-        let mut counts = [Counts::default(); P];
-        let mut wide = [[[0i128; 8]; P]; K];
-        let mut wide_omega = [[0i128; P]; K];
-        let mut sums = [[[0.0f64; 8]; P]; K];
         let mut added = 0;
         let lists = vicinity.lists().iter().map(|list| (list, Kind::Main));
         let labelled = vicinity
@@ -251,141 +252,116 @@ impl<'a, S: Squares> Sums<'a, S> {
         let apart = [(vicinity.apart(), Kind::Apart)];
         for (number, (list, kind)) in lists.chain(labelled).chain(apart).enumerate() {
             if kind == Kind::Apart && !whole {
-                for i in 0..P {
-                    self.look::<L>(list, places[i], &mut counts[i]);
+                for member in members.iter_mut() {
+                    self.look::<L>(list, member.centre, &mut member.counts);
                 }
                 continue;
             }
             let n = list.padded();
+            // the second list is beyond the second weight's support
+            let far = K == 2 && number == 1;
             let mut from = 0;
             while from < n {
                 let to = (from + CHUNK).min(n);
-                // the second list is beyond the second weight's support
-                let far = K == 2 && number == 1;
-                let mut used = false;
-                for i in 0..P {
-                    let of = Around {
-                        list,
-                        range: (from, to),
-                        centre: places[i],
-                    };
-                    let weights = &mut buffers.weights[i];
-                    let counts = &mut counts[i];
-                    used |= match kind {
-                        Kind::Main => {
-                            let counted = connected[i].main;
-                            self.weigh::<L, K, false>(
-                                &of,
-                                far,
-                                counted,
-                                whole,
-                                &[],
-                                weights,
-                                counts,
-                            )
-                        }
-                        Kind::Labelled => {
-                            let labels = connected[i].labels;
-                            self.weigh::<L, K, true>(
-                                &of, far, false, whole, labels, weights, counts,
-                            )
-                        }
-                        Kind::Apart => {
-                            self.weigh::<L, K, false>(&of, far, false, whole, &[], weights, counts)
-                        }
-                    };
+                let places = &list.place[from..to];
+                if added + places.len() > self.most_added {
+                    widen(members);
+                    added = 0;
                 }
-                if used {
-                    if added + (to - from) > self.most_added {
-                        widen(&mut sums, &mut wide);
-                        added = 0;
-                    }
-                    added += to - from;
-                    let places = &list.place[from..to];
-                    if far {
-                        self.multiply::<L, P, 1>(places, &buffers.weights, &mut sums);
-                    } else {
-                        self.multiply::<L, P, K>(places, &buffers.weights, &mut sums);
-                    }
-                    if !self.omega.is_empty() {
-                        for k in 0..if far { 1 } else { K } {
-                            for i in 0..P {
-                                let mut sum = 0.0;
-                                for (w, &place) in buffers.weights[i][k].iter().zip(places) {
-                                    sum += w * self.omega[place as usize];
-                                }
-                                wide_omega[k][i] += sum as i128;
+                added += places.len();
+                // A chunk for all members, while its measures are at hand.
+                let mut first = 0;
+                while first < members.len() {
+                    let some = &mut members[first..first + P];
+                    let mut used = false;
+                    for i in 0..P {
+                        let of = Around {
+                            list,
+                            range: (from, to),
+                            centre: some[i].centre,
+                        };
+                        let (weights, counts) = (&mut weights[i], &mut some[i].counts);
+                        let connected = vicinity.connected((first + i).min(count - 1));
+                        used |= match kind {
+                            Kind::Main => {
+                                let main = connected.main;
+                                self.weigh::<L, K, false>(&of, far, main, &[], weights, counts)
                             }
-                        }
+                            Kind::Labelled => {
+                                let labels = connected.labels;
+                                self.weigh::<L, K, true>(&of, far, false, labels, weights, counts)
+                            }
+                            Kind::Apart => {
+                                self.weigh::<L, K, false>(&of, far, false, &[], weights, counts)
+                            }
+                        };
                     }
+                    if used && far {
+                        self.multiply::<L, P, 1>(places, weights, some);
+                    } else if used {
+                        self.multiply::<L, P, K>(places, weights, some);
+                    }
+                    first += P;
                 }
                 from = to;
             }
         }
-        for i in 0..P {
-            let excluded = vicinity.excluded(members[i]);
-            if excluded.is_empty() {
-                continue;
-            }
-            if added + excluded.len() > self.most_added {
-                widen(&mut sums, &mut wide);
-                added = 0;
-            }
-            added += excluded.len();
-            for places_of in excluded.chunks(CHUNK) {
-                let list = &mut buffers.excluded;
-                list.clear();
-                for &place in places_of {
+        for m in 0..count {
+            let member = &mut members[m];
+            for places in vicinity.excluded(m).chunks(CHUNK) {
+                excluded.clear();
+                for &place in places {
                     let k = vicinity.relative(place as usize);
-                    list.push(k, place, self.tags[place as usize]);
+                    excluded.push(k, place, self.tags[place as usize]);
                 }
-                list.pad();
+                excluded.pad();
                 let of = Around {
-                    list,
-                    range: (0, list.padded()),
-                    centre: places[i],
+                    list: excluded,
+                    range: (0, excluded.padded()),
+                    centre: member.centre,
                 };
                 let mut less = Counts::default();
-                let weights = &mut buffers.weights[i];
-                self.weigh::<L, K, false>(&of, false, true, false, &[], weights, &mut less);
-                let c = &mut counts[i];
-                c.connected -= less.connected;
-                c.ridges -= less.ridges;
-                c.near_cut -= less.near_cut;
-                c.open -= less.open;
+                self.weigh::<L, K, false>(&of, false, true, &[], &mut weights[0], &mut less);
+                let counts = &mut member.counts;
+                counts.connected -= less.connected;
+                counts.ridges -= less.ridges;
+                counts.near_cut -= less.near_cut;
+                counts.open -= less.open;
                 if whole {
                     continue;
                 }
+                widen(std::slice::from_mut(member));
                 for k in 0..K {
-                    for (q, &place) in places_of.iter().enumerate() {
-                        let w = buffers.weights[i][k][q];
+                    for (w, &place) in weights[0][k].iter().zip(places) {
                         for t in 0..8 {
-                            sums[k][i][t] -= w * self.lumps[place as usize][t];
+                            member.sums[k][t] -= w * self.lumps[place as usize][t];
                         }
-                        if !self.omega.is_empty() {
-                            wide_omega[k][i] -= (w * self.omega[place as usize]) as i128;
+                        if let Some(omega) = self.omega.get(place as usize) {
+                            member.omega[k] -= (w * omega) as i128;
                         }
                     }
                 }
+                widen(std::slice::from_mut(member));
             }
         }
-        widen(&mut sums, &mut wide);
-        for i in 0..P {
-            let c = counts[i];
-            let (near_cut, count, ridges) = if whole {
-                (c.near_cut_in_ball, c.in_ball, c.ridges_in_ball)
-            } else {
-                (c.near_cut, c.connected, c.ridges)
-            };
-            finished.push(GroupSums {
-                measures: std::array::from_fn(|k| if k < K { wide[k][i] } else { [0; 8] }),
-                omega: std::array::from_fn(|k| if k < K { wide_omega[k][i] } else { 0 }),
-                rim: vicinity.rim(members[i], c.connected, c.open > 0),
-                several_sheets: c.in_ball > c.connected,
-                near_cut: near_cut > 0,
-                count,
-                ridges,
-            });
+        widen(members);
+    }
+
+    /// What was summed around a member.
+    fn finished(&self, vicinity: &Vicinity<'_, 2>, m: usize, member: &Member) -> GroupSums {
+        let c = &member.counts;
+        let (near_cut, count, ridges) = match self.task.extent {
+            Extent::Whole => (c.near_cut_in_ball, c.in_ball, c.ridges_in_ball),
+            Extent::Connected => (c.near_cut, c.connected, c.ridges),
+        };
+        GroupSums {
+            measures: member.wide,
+            omega: member.omega,
+            rim: vicinity.rim(m, c.connected, c.open > 0),
+            several_sheets: c.in_ball > c.connected,
+            near_cut: near_cut > 0,
+            count,
+            ridges,
         }
     }
 
@@ -417,7 +393,6 @@ impl<'a, S: Squares> Sums<'a, S> {
         around: &Around<'_>,
         far: bool,
         main: bool,
-        whole: bool,
         labels: &[u32],
         weights: &mut [[f64; CHUNK]; 2],
         counts: &mut Counts,
@@ -440,6 +415,7 @@ impl<'a, S: Squares> Sums<'a, S> {
         };
         let one = L::all(1.0);
         let weight_one = L::all(WEIGHT_ONE as f32);
+        let whole = self.task.extent == Extent::Whole;
         let main = L::mask(main);
         let all = L::mask(whole);
         let before = *counts;
@@ -486,29 +462,59 @@ impl<'a, S: Squares> Sums<'a, S> {
         }
     }
 
-    /// Adds measures times weights.
+    /// Adds measures times weights to the sums of some members.
     #[inline(always)]
     fn multiply<L: Level, const P: usize, const K: usize>(
         &self,
         places: &[u32],
         weights: &[[[f64; CHUNK]; 2]; MOST_MEMBERS],
-        sums: &mut [[[f64; 8]; P]],
+        members: &mut [Member],
     ) {
-        let mut local = [[[0.0f64; 8]; P]; K];
-        local.copy_from_slice(&sums[..K]);
+        let mut sums = [[[0.0f64; 8]; P]; K];
+        for k in 0..K {
+            for i in 0..P {
+                sums[k][i] = members[i].sums[k];
+            }
+        }
         for (q, &place) in places.iter().enumerate() {
             let lump = &self.lumps[place as usize];
             for k in 0..K {
                 for i in 0..P {
                     let w = weights[i][k][q];
                     for t in 0..8 {
-                        local[k][i][t] = L::multiply_add(w, lump[t], local[k][i][t]);
+                        sums[k][i][t] = L::multiply_add(w, lump[t], sums[k][i][t]);
                     }
                 }
             }
         }
-        sums[..K].copy_from_slice(&local);
+        for k in 0..K {
+            for i in 0..P {
+                members[i].sums[k] = sums[k][i];
+            }
+        }
+        if self.omega.is_empty() {
+            return;
+        }
+        for k in 0..K {
+            for i in 0..P {
+                let mut sum = 0.0;
+                for (w, &place) in weights[i][k].iter().zip(places) {
+                    sum += w * self.omega[place as usize];
+                }
+                members[i].omega[k] += sum as i128;
+            }
+        }
     }
+}
+
+/// What is summed around one member.
+struct Member {
+    centre: [f32; 3],
+    sums: [[f64; 8]; 2],
+    /// What `sums` was before it could become inexact.
+    wide: [[i128; 8]; 2],
+    omega: [i128; 2],
+    counts: Counts,
 }
 
 /// What kind of candidates a list holds.
@@ -527,11 +533,13 @@ struct Around<'a> {
     centre: [f32; 3],
 }
 
-/// Weights of the candidates of a chunk, by member and weight.
+/// Scratch memory.
 struct Buffers {
+    /// Weights of the candidates of a chunk, by member and weight.
     weights: Box<[[[f64; CHUNK]; 2]; MOST_MEMBERS]>,
     /// What is taken away again.
     excluded: Candidates,
+    members: Vec<Member>,
 }
 
 impl Default for Buffers {
@@ -539,21 +547,20 @@ impl Default for Buffers {
         Self {
             weights: Box::new([[[0.0; CHUNK]; 2]; MOST_MEMBERS]),
             excluded: Candidates::default(),
+            members: Vec::new(),
         }
     }
 }
 
 /// Moves sums to wide integers.
-#[inline(always)]
-fn widen<const P: usize, const K: usize>(
-    sums: &mut [[[f64; 8]; P]; K],
-    wide: &mut [[[i128; 8]; P]; K],
-) {
-    for (sum, wide) in sums.iter_mut().flatten().zip(wide.iter_mut().flatten()) {
-        for (sum, wide) in sum.iter_mut().zip(wide) {
-            // below 2^53, so i64 holds it
-            *wide += i128::from(*sum as i64);
-            *sum = 0.0;
+fn widen(members: &mut [Member]) {
+    for member in members {
+        for (sums, wide) in member.sums.iter_mut().zip(&mut member.wide) {
+            for (sum, wide) in sums.iter_mut().zip(wide) {
+                // below 2^53, so i64 holds it
+                *wide += i128::from(*sum as i64);
+                *sum = 0.0;
+            }
         }
     }
 }

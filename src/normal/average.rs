@@ -210,7 +210,7 @@ impl Counted {
         let [x, y, z] = [&list.x, &list.y, &list.z].map(|x| x[..n].as_chunks::<LANES>().0);
         let label = list.label[..n].as_chunks::<LANES>().0;
         let centre = centre.map(L::all);
-        let mut sums = (L::zero(), 0.0);
+        let mut sums = (L::zero(), 0);
         for i in 0..x.len() {
             let square = squares.of::<L>([
                 L::sub(L::load(&x[i]), centre[0]),
@@ -227,6 +227,6 @@ impl Counted {
             }
             sums = S::sum::<L>(square, counted, sums);
         }
-        self.squares += L::total(sums.0) + sums.1 as u64;
+        self.squares += L::total(sums.0) + sums.1;
     }
 }

@@ -51,7 +51,10 @@ pub const SCRATCH_BYTES: u64 = 92 + FLOAT_BYTES + BLOCK_BYTES;
 /// The same for surfels in the order of blocks: coordinates, steps, neighbours, components, tags, labels.
 const BLOCK_BYTES: u64 = 84;
 
-/// The same where linels and pointels are summed each for itself.
+/// Scratch of a worker for each surfel of a brick whose sums are made.
+const SUMMED_BYTES: u64 = 130;
+
+/// The same as [`SCRATCH_BYTES`] where linels and pointels are summed each for itself.
 pub const CELL_SCRATCH_BYTES: u64 = 300;
 
 /// The same for the measures of a surfel as floating point numbers.
@@ -444,6 +447,7 @@ impl Plan {
             };
             let of_sums = if invariants.is_empty() {
                 grown(ball_reach, DENSE * surfel_scratch as f64)
+                    + grown([0; 3], DENSE * SUMMED_BYTES as f64)
             } else {
                 // surfels of the core alone, and the bits around it
                 let volume = |grown: fn(i32) -> i32| -> u64 {

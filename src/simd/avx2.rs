@@ -27,7 +27,7 @@ static ORDERS: [[u32; 8]; 256] = {
 
 #[inline(always)]
 fn order(bits: usize) -> __m256i {
-    // SAFETY: as above; an order is eight integers.
+    // SAFETY: see the head of the module; an order is eight integers.
     unsafe { _mm256_loadu_si256(ORDERS[bits].as_ptr().cast()) }
 }
 

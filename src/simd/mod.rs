@@ -24,6 +24,8 @@ mod portable;
 #[cfg(test)]
 mod tests;
 
+#[cfg(test)]
+pub(crate) use dispatch::at_every_level;
 pub(crate) use dispatch::{Work, dispatch, instructions};
 
 /// Numbers in a vector.

@@ -96,7 +96,7 @@ fn levels_give_the_same_bits() {
             table: &table,
         };
         let expected = everything().run::<Portable>();
-        for found in super::dispatch::at_every_level(everything) {
+        for found in super::at_every_level(everything) {
             assert_eq!(found, expected);
         }
     }

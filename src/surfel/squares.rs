@@ -19,7 +19,7 @@ pub(crate) trait Squares: Copy {
     fn scaled<L: Level>(squares: Self::Of<L>, factor: f64) -> L::F;
 
     /// Adds those chosen, which must be at most a ball's limit, to two sums, of which one is used.
-    fn sum<L: Level>(squares: Self::Of<L>, chosen: L::M, sums: (L::U, f64)) -> (L::U, f64);
+    fn sum<L: Level>(squares: Self::Of<L>, chosen: L::M, sums: (L::U, u64)) -> (L::U, u64);
 }
 
 /// Voxels are cubes.
@@ -46,7 +46,7 @@ impl Squares for Cubes {
     }
 
     #[inline(always)]
-    fn sum<L: Level>(squares: L::F, chosen: L::M, sums: (L::U, f64)) -> (L::U, f64) {
+    fn sum<L: Level>(squares: L::F, chosen: L::M, sums: (L::U, u64)) -> (L::U, u64) {
         // at most 4 * 63^2 < 2^14 each, and no lane sees 2^18 of them
         (L::add_chosen(sums.0, squares, chosen), sums.1)
     }
@@ -81,7 +81,8 @@ impl Squares for Boxes {
     }
 
     #[inline(always)]
-    fn sum<L: Level>(squares: L::D, chosen: L::M, sums: (L::U, f64)) -> (L::U, f64) {
-        (sums.0, sums.1 + L::sum_chosen(squares, chosen))
+    fn sum<L: Level>(squares: L::D, chosen: L::M, sums: (L::U, u64)) -> (L::U, u64) {
+        // at most 2^34 each
+        (sums.0, sums.1 + L::sum_chosen(squares, chosen) as u64)
     }
 }

@@ -38,6 +38,9 @@ const NOWHERE: f32 = 1e6;
 /// Surfels that a search for a path looks at, at most.
 const SEARCHED: usize = 48;
 
+/// Surfels of a ball that are excluded one by one, at most; with more, labels are quicker.
+const MOST_EXCLUDED: usize = 256;
+
 /// No side leads nearer to all members.
 const NO_SIDE: u8 = 4;
 
@@ -201,7 +204,7 @@ struct Hub {
 
 /// What a search finds.
 enum Search {
-    /// A path leads nearer to the member.
+    /// A path leads nearer to the member, or it is not in its ball.
     Nearer,
     /// None does; these places, as many as said, are all that is connected to where it began.
     Separate([u32; SEARCHED], usize),
@@ -232,6 +235,8 @@ pub(crate) struct Connected<'a> {
 pub(crate) struct Vicinity<'a, const LISTS: usize> {
     blocks: &'a Blocks,
     ball: Ball,
+    /// Surfels that a search looks at, at most.
+    most_searched: usize,
     /// Squared edges of a voxel and the squared radius in single precision.
     squares: [f32; 3],
     limit: f32,
@@ -243,13 +248,13 @@ pub(crate) struct Vicinity<'a, const LISTS: usize> {
     half: [f32; 3],
     descent: f32,
     lists: [Candidates; LISTS],
-    /// Candidates of labels that not every member reaches, by list.
+    /// Candidates of all labels but that of the most, by list.
     labelled: [Candidates; LISTS],
     apart: Candidates,
     hub: Hub,
     runs: Vec<Range<usize>>,
     /// For each member, whether it is known without labels what is connected to it; ends with the first for which
-    /// it is not.
+    /// it is not. Once there are labels, whether they are not needed for it.
     passed: Vec<bool>,
     /// Places of surfels in the ball of a member that are not connected to it, member by member.
     excluded: Vec<u32>,
@@ -264,7 +269,7 @@ pub(crate) struct Vicinity<'a, const LISTS: usize> {
 /// Scratch memory of labelling.
 #[derive(Debug, Default)]
 struct Labelling {
-    /// By place, the side that leads nearer to all members, or [`NO_SIDE`].
+    /// By place, the side that leads nearer to all members, or [`NO_SIDE`] and above.
     sides: Vec<u8>,
     /// By candidate, numbered through the padded lists: its place or [`NONE`].
     places: Vec<u32>,
@@ -348,6 +353,7 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
         Self {
             blocks,
             ball,
+            most_searched: SEARCHED,
             squares: ball.metric.weights.map(|w| (w as f64 / one) as f32),
             limit: (ball.limit as f64 / one) as f32,
             members: Vec::new(),
@@ -561,6 +567,9 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
             let first = self.excluded.len();
             let mut known = true;
             for i in 0..k[0].len() {
+                if !known {
+                    break;
+                }
                 let d = [
                     L::sub(L::load(&k[0][i]), p[0]),
                     L::sub(L::load(&k[1][i]), p[1]),
@@ -604,6 +613,7 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
                         }
                         Search::Unknown => known = false,
                     }
+                    known &= self.excluded.len() - first <= MOST_EXCLUDED;
                 }
             }
             self.passed.push(known);
@@ -641,7 +651,7 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
                     return Search::Nearer;
                 }
                 if square <= self.ball.limit {
-                    if end == SEARCHED {
+                    if end == self.most_searched {
                         return Search::Unknown;
                     }
                     seen[end] = place;
