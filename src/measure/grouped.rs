@@ -253,7 +253,13 @@ impl<'a, S: Squares> Sums<'a, S> {
         for (number, (list, kind)) in lists.chain(labelled).chain(apart).enumerate() {
             if kind == Kind::Apart && !whole {
                 for member in members.iter_mut() {
-                    self.look::<L>(list, member.centre, &mut member.counts);
+                    let all = Around {
+                        list,
+                        range: (0, list.padded()),
+                        centre: member.centre,
+                        counted: Counted::None,
+                    };
+                    self.look::<L>(&all, &mut member.counts);
                 }
                 continue;
             }
@@ -275,26 +281,24 @@ impl<'a, S: Squares> Sums<'a, S> {
                     let some = &mut members[first..first + P];
                     let mut used = false;
                     for i in 0..P {
+                        let connected = vicinity.connected((first + i).min(count - 1));
+                        let counted = match kind {
+                            Kind::Main if connected.main => Counted::All,
+                            Kind::Main | Kind::Apart => Counted::None,
+                            Kind::Labelled => Counted::Labels(connected.labels),
+                        };
                         let of = Around {
                             list,
                             range: (from, to),
                             centre: some[i].centre,
+                            counted,
                         };
                         let (weights, counts) = (&mut weights[i], &mut some[i].counts);
-                        let connected = vicinity.connected((first + i).min(count - 1));
-                        used |= match kind {
-                            Kind::Main => {
-                                let main = connected.main;
-                                self.weigh::<L, K, false>(&of, far, main, &[], weights, counts)
-                            }
-                            Kind::Labelled => {
-                                let labels = connected.labels;
-                                self.weigh::<L, K, true>(&of, far, false, labels, weights, counts)
-                            }
-                            Kind::Apart => {
-                                self.weigh::<L, K, false>(&of, far, false, &[], weights, counts)
-                            }
-                        };
+                        if self.weigh::<L, K>(&of, far, weights, counts) {
+                            used = true;
+                        } else {
+                            *weights = [[0.0; CHUNK]; 2];
+                        }
                     }
                     if used && far {
                         self.multiply::<L, P, 1>(places, weights, some);
@@ -319,9 +323,10 @@ impl<'a, S: Squares> Sums<'a, S> {
                     list: excluded,
                     range: (0, excluded.padded()),
                     centre: member.centre,
+                    counted: Counted::All,
                 };
                 let mut less = Counts::default();
-                self.weigh::<L, K, false>(&of, false, true, &[], &mut weights[0], &mut less);
+                self.weigh::<L, K>(&of, false, &mut weights[0], &mut less);
                 let counts = &mut member.counts;
                 counts.connected -= less.connected;
                 counts.ridges -= less.ridges;
@@ -367,9 +372,14 @@ impl<'a, S: Squares> Sums<'a, S> {
 
     /// Whether any of some candidates that do not count is in the ball.
     #[inline(always)]
-    fn look<L: Level>(&self, list: &Candidates, centre: [f32; 3], counts: &mut Counts) {
-        let [x, y, z] =
-            [&list.x, &list.y, &list.z].map(|x| x[..list.padded()].as_chunks::<LANES>().0);
+    fn look<L: Level>(&self, around: &Around<'_>, counts: &mut Counts) {
+        let Around {
+            list,
+            range: (from, to),
+            centre,
+            ..
+        } = *around;
+        let [x, y, z] = [&list.x, &list.y, &list.z].map(|x| x[from..to].as_chunks::<LANES>().0);
         let centre = [L::all(centre[0]), L::all(centre[1]), L::all(centre[2])];
         for i in 0..x.len() {
             if counts.in_ball > counts.connected {
@@ -387,13 +397,30 @@ impl<'a, S: Squares> Sums<'a, S> {
 
     /// Weights of some candidates around one member; whether any can be other than 0.
     #[inline(always)]
-    #[expect(clippy::too_many_arguments, reason = "the body of a loop")]
-    fn weigh<L: Level, const K: usize, const LABELLED: bool>(
+    fn weigh<L: Level, const K: usize>(
         &self,
         around: &Around<'_>,
         far: bool,
-        main: bool,
-        labels: &[u32],
+        weights: &mut [[f64; CHUNK]; 2],
+        counts: &mut Counts,
+    ) -> bool {
+        match around.counted {
+            Counted::All => self.weigh_those::<L, K, ALL>(around, far, weights, counts),
+            Counted::None if self.task.extent == Extent::Connected => {
+                self.look::<L>(around, counts);
+                false
+            }
+            Counted::None => self.weigh_those::<L, K, NONE>(around, far, weights, counts),
+            Counted::Labels(_) => self.weigh_those::<L, K, LABELS>(around, far, weights, counts),
+        }
+    }
+
+    /// The same, compiled for each way candidates count.
+    #[inline(always)]
+    fn weigh_those<L: Level, const K: usize, const COUNTED: u8>(
+        &self,
+        around: &Around<'_>,
+        far: bool,
         weights: &mut [[f64; CHUNK]; 2],
         counts: &mut Counts,
     ) -> bool {
@@ -401,6 +428,7 @@ impl<'a, S: Squares> Sums<'a, S> {
             list,
             range: (from, to),
             centre,
+            counted: how,
         } = *around;
         let [x, y, z] = [&list.x, &list.y, &list.z].map(|x| x[from..to].as_chunks::<LANES>().0);
         let label = list.label[from..to].as_chunks::<LANES>().0;
@@ -416,9 +444,7 @@ impl<'a, S: Squares> Sums<'a, S> {
         let one = L::all(1.0);
         let weight_one = L::all(WEIGHT_ONE as f32);
         let whole = self.task.extent == Extent::Whole;
-        let main = L::mask(main);
-        let all = L::mask(whole);
-        let before = *counts;
+        let (mut in_ball, mut connected) = (0, 0);
         for i in 0..x.len() {
             let square = self.squares.of::<L>([
                 L::sub(L::load(&x[i]), centre[0]),
@@ -426,40 +452,48 @@ impl<'a, S: Squares> Sums<'a, S> {
                 L::sub(L::load(&z[i]), centre[2]),
             ]);
             let inside = S::at_most::<L>(square, limit);
-            let counted = if LABELLED {
-                L::and(inside, L::looked_up(&label[i], labels))
-            } else {
-                L::and(inside, main)
+            let counted = match (COUNTED, how) {
+                (ALL, _) => inside,
+                (LABELS, Counted::Labels(labels)) => {
+                    L::and(inside, L::looked_up(&label[i], labels))
+                }
+                _ => L::mask(false),
             };
-            let summed = L::and(inside, L::or(counted, all));
-            counts.in_ball += L::bits(inside).count_ones();
-            counts.connected += L::bits(counted).count_ones();
+            let (bits_inside, bits_counted) = (L::bits(inside), L::bits(counted));
+            in_ball += bits_inside.count_ones();
+            connected += bits_counted.count_ones();
             if let Some(tagged) = list.tagged(from / LANES + i) {
-                let (inside, counted) = (L::bits(inside), L::bits(counted));
-                counts.ridges += (counted & tagged[0]).count_ones();
-                counts.ridges_in_ball += (inside & tagged[0]).count_ones();
-                counts.near_cut += (counted & tagged[1]).count_ones();
-                counts.near_cut_in_ball += (inside & tagged[1]).count_ones();
-                counts.open += (counted & tagged[2]).count_ones();
+                counts.ridges += (bits_counted & tagged[0]).count_ones();
+                counts.ridges_in_ball += (bits_inside & tagged[0]).count_ones();
+                counts.near_cut += (bits_counted & tagged[1]).count_ones();
+                counts.near_cut_in_ball += (bits_inside & tagged[1]).count_ones();
+                counts.open += (bits_counted & tagged[2]).count_ones();
             }
+            let summed = if whole { inside } else { counted };
+            // Beyond the ball the weights are 0 by themselves.
+            let store = |w: L::F, to: &mut [f64; LANES]| {
+                if COUNTED == ALL {
+                    L::store(w, to);
+                } else {
+                    L::store_chosen(w, summed, to);
+                }
+            };
             if K == 1 {
                 L::store_chosen(one, summed, &mut w0[i]);
             } else {
                 let t = L::min(S::scaled::<L>(square, per[0]), one);
                 let w = L::mul(L::sub(one, t), L::sub(one, L::add(t, t)));
-                L::store_chosen(rounded::<L>(L::mul(w, weight_one)), summed, &mut w0[i]);
+                store(rounded::<L>(L::mul(w, weight_one)), &mut w0[i]);
                 if !far {
                     let t = L::min(S::scaled::<L>(square, per[1]), one);
                     let w = L::mul(L::sub(one, t), weight_one);
-                    L::store_chosen(rounded::<L>(w), summed, &mut w1[i]);
+                    store(rounded::<L>(w), &mut w1[i]);
                 }
             }
         }
-        if whole {
-            counts.in_ball > before.in_ball
-        } else {
-            counts.connected > before.connected
-        }
+        counts.in_ball += in_ball;
+        counts.connected += connected;
+        (if whole { in_ball } else { connected }) > 0
     }
 
     /// Adds measures times weights to the sums of some members.
@@ -531,7 +565,22 @@ struct Around<'a> {
     list: &'a Candidates,
     range: (usize, usize),
     centre: [f32; 3],
+    counted: Counted<'a>,
 }
+
+/// Which candidates in the ball are connected to the member.
+#[derive(Clone, Copy)]
+enum Counted<'a> {
+    All,
+    None,
+    /// Those of labels for which this is 1.
+    Labels(&'a [u32]),
+}
+
+// The same as parameters of code that is compiled for each.
+const ALL: u8 = 0;
+const NONE: u8 = 1;
+const LABELS: u8 = 2;
 
 /// Scratch memory.
 struct Buffers {

@@ -122,6 +122,19 @@ impl Level for Avx2 {
     }
 
     #[inline(always)]
+    fn store(x: Self::F, to: &mut [f64; LANES]) {
+        // SAFETY: see the head of the module.
+        unsafe {
+            for i in 0..2 {
+                let low = _mm256_cvtps_pd(_mm256_castps256_ps128(x[i]));
+                let high = _mm256_cvtps_pd(_mm256_extractf128_ps::<1>(x[i]));
+                _mm256_storeu_pd(to.as_mut_ptr().add(8 * i), low);
+                _mm256_storeu_pd(to.as_mut_ptr().add(8 * i + 4), high);
+            }
+        }
+    }
+
+    #[inline(always)]
     fn store_chosen(x: Self::F, chosen: Self::M, to: &mut [f64; LANES]) {
         // SAFETY: see the head of the module.
         unsafe {
@@ -199,12 +212,6 @@ impl Level for Avx2 {
     fn and(a: Self::M, b: Self::M) -> Self::M {
         // SAFETY: see the head of the module.
         unsafe { [_mm256_and_ps(a[0], b[0]), _mm256_and_ps(a[1], b[1])] }
-    }
-
-    #[inline(always)]
-    fn or(a: Self::M, b: Self::M) -> Self::M {
-        // SAFETY: see the head of the module.
-        unsafe { [_mm256_or_ps(a[0], b[0]), _mm256_or_ps(a[1], b[1])] }
     }
 
     #[inline(always)]

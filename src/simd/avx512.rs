@@ -80,6 +80,17 @@ impl Level for Avx512 {
     }
 
     #[inline(always)]
+    fn store(x: Self::F, to: &mut [f64; LANES]) {
+        // SAFETY: see the head of the module.
+        unsafe {
+            let low = _mm512_cvtps_pd(_mm512_castps512_ps256(x));
+            let high = _mm512_cvtps_pd(_mm512_extractf32x8_ps::<1>(x));
+            _mm512_storeu_pd(to.as_mut_ptr(), low);
+            _mm512_storeu_pd(to.as_mut_ptr().add(8), high);
+        }
+    }
+
+    #[inline(always)]
     fn store_chosen(x: Self::F, chosen: Self::M, to: &mut [f64; LANES]) {
         // SAFETY: see the head of the module.
         unsafe {
@@ -124,11 +135,6 @@ impl Level for Avx512 {
     #[inline(always)]
     fn and(a: Self::M, b: Self::M) -> Self::M {
         a & b
-    }
-
-    #[inline(always)]
-    fn or(a: Self::M, b: Self::M) -> Self::M {
-        a | b
     }
 
     #[inline(always)]

@@ -72,6 +72,8 @@ pub(crate) trait Level: Sized {
     fn max(a: Self::F, b: Self::F) -> Self::F;
     /// Where a <= b.
     fn at_most(a: Self::F, b: Self::F) -> Self::M;
+    /// Stores the numbers in double precision.
+    fn store(x: Self::F, to: &mut [f64; LANES]);
     /// Stores the chosen numbers in double precision, and 0 elsewhere.
     fn store_chosen(x: Self::F, chosen: Self::M, to: &mut [f64; LANES]);
     /// Stores the chosen numbers one after another from the start; what follows them there is undefined.
@@ -86,7 +88,6 @@ pub(crate) trait Level: Sized {
     /// Bit i by lane i.
     fn bits(mask: Self::M) -> u16;
     fn and(a: Self::M, b: Self::M) -> Self::M;
-    fn or(a: Self::M, b: Self::M) -> Self::M;
     /// Where two integers are equal.
     fn equal(a: &[u32; LANES], b: u32) -> Self::M;
     /// Where the entry of `table` that is named is not 0.

@@ -79,6 +79,11 @@ impl Level for Portable {
     }
 
     #[inline(always)]
+    fn store(x: Self::F, to: &mut [f64; LANES]) {
+        *to = each(&x, &x, |x, _| f64::from(x));
+    }
+
+    #[inline(always)]
     fn store_chosen(x: Self::F, chosen: Self::M, to: &mut [f64; LANES]) {
         *to = each(&x, &chosen, |x, m| {
             f64::from(f32::from_bits(x.to_bits() & m))
@@ -129,11 +134,6 @@ impl Level for Portable {
     #[inline(always)]
     fn and(a: Self::M, b: Self::M) -> Self::M {
         each(&a, &b, |a, b| a & b)
-    }
-
-    #[inline(always)]
-    fn or(a: Self::M, b: Self::M) -> Self::M {
-        each(&a, &b, |a, b| a | b)
     }
 
     #[inline(always)]
