@@ -34,7 +34,7 @@ if ! command -v valgrind >/dev/null 2>&1; then
     exit 0
 fi
 
-# The instructions that `src/dispatch.rs` looks for.
+# The instructions that `src/simd/dispatch.rs` looks for.
 level() {
     local feature
     [ "$(uname -m)" = x86_64 ] || {

@@ -32,7 +32,7 @@ fn the_cut_does_not_show() {
         for (brick, memory_mib, threads) in [
             (Some(16), 1024, 1),
             (Some(32), 200, 2),
-            (Some(64), 1024, 7),
+            (Some(64), 1536, 7),
             (Some(100), 1024, 3),
             (None, 100, 2),
         ] {
@@ -101,7 +101,7 @@ fn the_cut_does_not_show_in_refined_normals() {
         for (brick, memory_mib, threads) in [
             (Some(16), 1024, 1),
             (Some(30), 1024, 2),
-            (Some(64), 1024, 7),
+            (Some(64), 1536, 7),
             (None, 130, 2),
         ] {
             settings.brick = brick;

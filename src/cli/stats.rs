@@ -38,7 +38,7 @@ impl StatsTo {
         let Some(file) = asked else {
             return Ok(Some(Self::Stderr));
         };
-        let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.into());
+        let absolute = |path: &Path| real(&std::path::absolute(path).unwrap_or_else(|_| path.into()));
         if let Target::Directory(results) | Target::Parquet(results) | Target::Csv(results) = target
             && absolute(file).starts_with(absolute(results))
         {
@@ -49,6 +49,15 @@ impl StatsTo {
             )));
         }
         Ok(Some(Self::File(file.clone())))
+    }
+}
+
+/// A path with links followed as far as it exists: what is yet to be made is not there.
+fn real(path: &Path) -> PathBuf {
+    match (path.canonicalize(), path.parent(), path.file_name()) {
+        (Ok(real), ..) => real,
+        (Err(_), Some(parent), Some(name)) => real(parent).join(name),
+        _ => path.into(),
     }
 }
 

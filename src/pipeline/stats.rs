@@ -3,8 +3,8 @@
 //! Comes in: calls of the stages, around what they do on a worker and around what they wait for. Goes
 //! out: [`Stats`]. The time of a stage's thread is what it waits for and what it is busy with (its own
 //! work, and waiting for its bricks on the pool). Processor time is that of its thread and of
-//! the workers while they were on its bricks. Where nobody asks ([`super::Progress::default`]) no clock is
-//! read; where somebody does, a few for each brick.
+//! the workers while they were on its bricks. Where nobody asks ([`super::Progress::default`]) nothing is
+//! kept; where somebody does, a few clocks are read for each brick.
 //!
 //! Not guaranteed: that processor time is known. On systems without a clock for threads it is the time
 //! that passed.
