@@ -277,15 +277,20 @@ fn two_small_things_in_opposite_corners_of_a_huge_volume_take_default_memory() {
 fn many_specks_all_over_a_volume_lower_the_slabs_or_say_what_they_take() {
     let dims = [4000, 4000, 80];
     let specks = |n: u64| (0..n).map(move |i| 30 + i * (3900 / n));
-    let things = specks(40)
-        .flat_map(|y| specks(40).map(move |x| thing([x, y, 30], 3, Kind::Ball)))
+    let things = specks(60)
+        .flat_map(|y| specks(60).map(move |x| thing([x, y, 30], 3, Kind::Ball)))
         .collect();
     let pieces = Pieces::new(dims, [8; 3], things);
     let mut settings = settings(dims, false);
     let (_, _, plan) = piecewise(&pieces, &settings, at_least(1));
     assert!(plan.chunks.as_ref().unwrap().tiles.is_some());
     // All slabs as high as planned would not fit.
-    assert!(plan.slab_planes == 64 && plan.index_bytes().unwrap() < 1600 * 64 * 64 * 36);
+    let (edge, planes) = (plan.brick_edge as u64, plan.slab_planes as u64);
+    let index_bytes = plan.index_bytes().unwrap();
+    assert!(
+        planes >= 32 && index_bytes < 3600 * edge * planes * 36,
+        "{edge} {planes} {index_bytes}"
+    );
     settings.memory_bytes = 80 << 20;
     let volume = pieces.volume();
     match settings.plan(&Access::of(&volume), 0) {

@@ -38,7 +38,8 @@ impl StatsTo {
         let Some(file) = asked else {
             return Ok(Some(Self::Stderr));
         };
-        let absolute = |path: &Path| real(&std::path::absolute(path).unwrap_or_else(|_| path.into()));
+        let absolute =
+            |path: &Path| real(&std::path::absolute(path).unwrap_or_else(|_| path.into()));
         if let Target::Directory(results) | Target::Parquet(results) | Target::Csv(results) = target
             && absolute(file).starts_with(absolute(results))
         {

@@ -34,7 +34,7 @@
 //! `Lumped`, and `Dgtal` takes a surfel's share of all its measures. mu_Omega is summed if it was evaluated.
 //!
 //! Guaranteed: sums are of integers, so exact. For that, weights of `Compensated` are rounded to multiples of 2^-15, and the
-//! measures they multiply to 2^-26 ([`super::grouped`]). Which cells take part is decided in integers
+//! measures they multiply to 2^-26 (`grouped.rs`). Which cells take part is decided in integers
 //! (except with `Dgtal`, whose shares, rounded to 2^-48 each, and pointels go by distances in
 //! floating point). `Sharp` counts fewer linels
 //! than the rim of the set has a share in, so it is low by about 0.6 / rho; it is what makes

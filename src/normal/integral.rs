@@ -12,7 +12,7 @@
 //! ```
 //!
 //! The moments depend on the centre only, so each voxel that is inner or outer to some surfel is
-//! evaluated once: see [`moments`](super::moments).
+//! evaluated once: see `moments.rs`.
 //!
 //! **Which eigenvector.** With [`Orientation::Moment`] the one nearest the first moment
 //! (largest |cos|), pointing away from it. Ties, made explicit because small solids are full of

@@ -45,7 +45,7 @@ pub const FIXED_BYTES: u64 = 56 << 20;
 pub const COLUMN_BYTES: u64 = 24 << 20;
 
 /// Scratch of a worker for each surfel of a brick and its halo: place, links, measures, and
-/// [`BLOCK_BYTES`].
+/// the same in the order of blocks.
 pub const SCRATCH_BYTES: u64 = 92 + FLOAT_BYTES + BLOCK_BYTES;
 
 /// The same for surfels in the order of blocks: coordinates, steps, neighbours, components, tags, labels.

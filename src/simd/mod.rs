@@ -26,7 +26,9 @@ mod tests;
 
 #[cfg(test)]
 pub(crate) use dispatch::at_every_level;
-pub(crate) use dispatch::{Work, dispatch, instructions};
+#[cfg(feature = "cli")]
+pub(crate) use dispatch::instructions;
+pub(crate) use dispatch::{Work, dispatch};
 
 /// Numbers in a vector.
 pub(crate) const LANES: usize = 16;

@@ -780,7 +780,7 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
                     // the first of the best sides
                     let side =
                         (1 - is(best[0])) * (1 + (1 - is(best[1])) * (1 + (1 - is(best[2]))));
-                    *to = side | is(hub) * NO_SIDE;
+                    *to = side | (is(hub) * NO_SIDE);
                 }
             }
         }
