@@ -345,7 +345,12 @@ mod tests {
             for (p, found) in stretches.iter().cloned().flatten().zip(found) {
                 walk.connected(p as u32, |q| ball.has(&surface, p as u32, q));
                 let (expected, _) = ball.sum(&surface, &cells, &walk, p as u32);
-                let near = |a: f64, b: f64| (a - b).abs() < 1e-9 * expected.mu0;
+                // the reference rounds compensated weights to 2^-15, which these walks do without
+                let slack = match weights {
+                    Weights::Compensated { .. } => 1e-4,
+                    _ => 1e-9,
+                };
+                let near = |a: f64, b: f64| (a - b).abs() < slack * expected.mu0;
                 assert!(near(found.mu0, expected.mu0) && near(found.mu2, expected.mu2));
                 assert!((0..6).all(|e| near(found.tensor[e], expected.tensor[e])));
             }
