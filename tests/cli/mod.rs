@@ -7,6 +7,8 @@ use tempfile::TempDir;
 
 /// What goes wrong, and the exit code it gives.
 mod exits;
+/// `CURVOX_SIMD`.
+mod levels;
 /// `curvox mesh`.
 mod meshes;
 /// Normals given in a table, or made of grey values.
