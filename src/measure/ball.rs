@@ -342,6 +342,9 @@ impl BallKernel {
     }
 
     /// Sums around some surfels of the surface, which must cover their reach.
+    ///
+    /// # Panics
+    /// If a surfel is named twice, with measures lumped on surfels.
     #[must_use]
     pub fn sums(
         &self,

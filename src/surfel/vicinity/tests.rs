@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use proptest::prelude::*;
 
-use super::super::squares::{Boxes, Cubes};
+use super::super::squares::{Boxes, Cubes, Squares};
 use super::super::walk::Walker;
 use super::super::{CellBox, Links, SurfelIndex, Surfels};
 use super::*;
