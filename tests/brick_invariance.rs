@@ -4,13 +4,13 @@ use curvox::measure::ball::{Compensation, Extent, Weights};
 use curvox::measure::field::Field;
 use curvox::normal::vcm::Side;
 use curvox::normal::{Estimator, Orientation};
-use curvox::pipeline::Settings;
+use curvox::pipeline::{Access, Settings};
 use proptest::prelude::*;
 
 use curvox::Error;
 use curvox_tools::plain::Solid;
 
-use crate::common::{Random, bits, blob, lattice, noise, piped, tried, whole};
+use crate::common::{Random, bits, blob, lattice, noise, piped, tried, tried_with, whole};
 
 #[test]
 fn the_cut_does_not_show() {
@@ -191,6 +191,51 @@ proptest! {
         prop_assert!(bits(&rows) == bits(&expected));
         prop_assert_eq!(again.cells, outcome.cells);
         prop_assert_eq!(again.solid, outcome.solid);
+    }
+}
+
+/// However little scratch there is, down to one plane of a brick at a time.
+#[test]
+fn bricks_in_pieces_do_not_show() {
+    for (solid, voxels) in [
+        (blob([40, 36, 30], 14), [1.0, 1.0, 1.0]),
+        (noise([16, 40, 20], 0.4, 15), [1.0, 0.8, 1.2]),
+    ] {
+        let plain = Settings::new(lattice(&solid, voxels, false));
+        let with = |change: &dyn Fn(&mut Settings)| {
+            let mut settings = plain.clone();
+            settings.radii = vec![3.0, 2.0];
+            settings.quality = true;
+            settings.directions = true;
+            settings.threads = 2;
+            change(&mut settings);
+            settings
+        };
+        let vcm = Estimator::VoronoiCovariance {
+            voronoi_radius: 6.0,
+            radius: 3.0,
+            side: Side::Dgtal,
+        };
+        for settings in [
+            with(&|s| s.weights = Weights::Lumped),
+            with(&|s| s.weights = Weights::Sharp),
+            with(&|s| s.estimator = Estimator::Trivial),
+            with(&|s| s.estimator = vcm),
+            with(&|s| (s.field, s.weights) = (Field::Interpolated, Weights::Dgtal)),
+            with(&|s| s.curvature = Method::Invariants),
+            with_average(plain.clone(), 2.5, false),
+            with_average(plain.clone(), 2.0, true),
+        ] {
+            let mut plan = settings.plan(&Access::forward(1), 0).unwrap();
+            let (expected, outcome) = tried_with(&solid, &settings, &plan).unwrap();
+            let expected = bits(&expected);
+            for scratch_bytes in [1, 1 << 21] {
+                plan.scratch_bytes = scratch_bytes;
+                let (rows, again) = tried_with(&solid, &settings, &plan).unwrap();
+                assert!(bits(&rows) == expected, "{scratch_bytes}: {settings:?}");
+                assert_eq!(again.cells, outcome.cells);
+            }
+        }
     }
 }
 

@@ -77,6 +77,24 @@ pub struct CellMeasures {
 }
 
 impl CellMeasures {
+    /// Adds those of the surfels that follow.
+    pub fn append(&mut self, next: Self) {
+        if self.marks.is_empty() {
+            *self = next;
+            return;
+        }
+        let [linels, umbrellas] = [self.linels.len(), self.umbrellas.len()].map(|n| n as u32);
+        // the end of what is there is where the next ones start
+        let from = next.owned_from.iter().skip(1);
+        (self.owned_from).extend(from.map(|n| [n[0] + linels, n[1] + umbrellas]));
+        self.lumped.extend(next.lumped);
+        self.mu0.extend(next.mu0);
+        self.linels.extend(next.linels);
+        self.umbrellas.extend(next.umbrellas);
+        self.omega.extend(next.omega);
+        self.marks.extend(next.marks);
+    }
+
     /// Memory held, in bytes.
     #[must_use]
     pub fn bytes(&self) -> usize {

@@ -13,9 +13,12 @@ pub struct Budget {
 
 #[derive(Debug, Default)]
 struct Used {
+    /// All that was taken.
     bytes: u64,
+    /// Of these, what is for surfels.
+    surfel_bytes: u64,
     /// At most until now.
-    most_bytes: u64,
+    most_surfel_bytes: u64,
     /// What is held as long as the grants, and not taken from the budget.
     beside_bytes: u64,
     most_beside_bytes: u64,
@@ -26,6 +29,7 @@ struct Used {
 pub struct Grant {
     budget: Arc<Budget>,
     bytes: u64,
+    surfel_bytes: u64,
     beside_bytes: u64,
 }
 
@@ -46,11 +50,17 @@ impl Budget {
         self.limit
     }
 
-    /// Takes bytes, waiting until they are there; `None` once `stopped` says so.
+    /// Takes bytes, waiting until they are there; `None` once `stopped` says so. `surfel_bytes` of them are for surfels, and counted by
+    /// themselves.
     ///
     /// The caller makes sure that enough of what is in use will be given back without this grant:
     /// see `stages::choose_slab`.
-    pub fn take(self: &Arc<Self>, bytes: u64, stopped: impl Fn() -> bool) -> Option<Grant> {
+    pub fn take(
+        self: &Arc<Self>,
+        bytes: u64,
+        surfel_bytes: u64,
+        stopped: impl Fn() -> bool,
+    ) -> Option<Grant> {
         let mut used = self.used();
         while used.bytes > 0 && used.bytes + bytes > self.limit {
             if stopped() {
@@ -61,19 +71,21 @@ impl Budget {
             used = waited.unwrap_or_else(PoisonError::into_inner).0;
         }
         used.bytes += bytes;
-        used.most_bytes = used.most_bytes.max(used.bytes);
+        used.surfel_bytes += surfel_bytes;
+        used.most_surfel_bytes = used.most_surfel_bytes.max(used.surfel_bytes);
         Some(Grant {
             budget: Arc::clone(self),
             bytes,
+            surfel_bytes,
             beside_bytes: 0,
         })
     }
 
-    /// The bytes that were in use at once, at most: of grants, and beside them.
+    /// The bytes that were in use at once, at most: for surfels, and beside the grants.
     #[must_use]
     pub fn most_used(&self) -> [u64; 2] {
         let used = self.used();
-        [used.most_bytes, used.most_beside_bytes]
+        [used.most_surfel_bytes, used.most_beside_bytes]
     }
 
     fn used(&self) -> MutexGuard<'_, Used> {
@@ -97,6 +109,7 @@ impl Drop for Grant {
     fn drop(&mut self) {
         let mut used = self.budget.used();
         used.bytes -= self.bytes;
+        used.surfel_bytes -= self.surfel_bytes;
         used.beside_bytes -= self.beside_bytes;
         self.budget.returned.notify_all();
     }
@@ -109,25 +122,25 @@ mod tests {
     #[test]
     fn bytes_come_back_when_a_grant_is_dropped() {
         let budget = Budget::new(10);
-        let first = budget.take(8, || false).unwrap();
+        let first = budget.take(8, 7, || false).unwrap();
         let waiting = std::thread::spawn({
             let budget = Arc::clone(&budget);
-            move || budget.take(5, || false).map(|g| g.bytes)
+            move || budget.take(5, 5, || false).map(|g| g.bytes)
         });
         std::thread::sleep(Duration::from_millis(20));
         assert!(!waiting.is_finished());
         drop(first);
         assert_eq!(waiting.join().unwrap(), Some(5));
-        assert_eq!(budget.most_used(), [8, 0]);
+        assert_eq!(budget.most_used(), [7, 0]);
     }
 
     #[test]
     fn what_is_held_beside_goes_with_the_grant() {
         let budget = Budget::new(10);
-        let mut first = budget.take(4, || false).unwrap();
+        let mut first = budget.take(4, 4, || false).unwrap();
         first.note_beside(100, 7);
         drop(first);
-        let mut second = budget.take(6, || false).unwrap();
+        let mut second = budget.take(6, 6, || false).unwrap();
         second.note_beside(20, 0);
         assert_eq!(budget.most_used(), [6, 107]);
     }
@@ -135,7 +148,7 @@ mod tests {
     #[test]
     fn a_stop_ends_the_wait() {
         let budget = Budget::new(10);
-        let _first = budget.take(8, || false).unwrap();
-        assert!(budget.take(5, || true).is_none());
+        let _first = budget.take(8, 8, || false).unwrap();
+        assert!(budget.take(5, 5, || true).is_none());
     }
 }

@@ -31,6 +31,7 @@ mod reader;
 mod refining;
 mod rows;
 mod run;
+mod scratch;
 mod sending;
 mod settings;
 mod shared;

@@ -7,7 +7,7 @@
 //! |---|---|
 //! | program, sinks | [`FIXED_BYTES`], [`COLUMN_BYTES`] for each column of parts, what the open input holds |
 //! | read buffers | three chunks of planes as stored, unless they are mapped; of a volume in pieces, a box and a piece for each task that reads ([`ChunkPlan`]) |
-//! | bits, and the index of surfels | 1/8 byte a voxel of 2 R + 3 H + 9 S planes, about 9/16 more (as if no brick were empty) of 2 H + 8 S of them |
+//! | bits, and the index of surfels | 1/8 byte a voxel of 2 R + 3 H + 8 + S planes, about 9/16 more (as if no brick were empty) of 2 H + 8 of them; what slabs of several planes take beyond that is taken from what is left for surfels |
 //! | bits of a layer | the same 1/8 byte, for the planes that are read together because pieces are as thick |
 //! | grey values | S + R + max(R, H + 3) + 2 planes as stored and three chunks of them, only for the gradient |
 //! | a table of normals | its row groups and [`crate::sink::GIVEN_READ_BYTES`], only for given normals |
@@ -15,7 +15,7 @@
 //! | rows | [`Plan::row_bytes`] a surfel of a slab, [`Plan::sent_row_bytes`] a surfel of its densest plane, within 1/4 of it |
 //! | refined normals | [`Plan::refining_ahead`] planes more on either side of what is held, three slabs a pass, 24 bytes and 33 a pass for each surfel in flight |
 //! | mu_Omega, if asked for | 8 bytes more a surfel in flight and of scratch (18 where linels are kept), 4 a row and radius |
-//! | scratch of a worker | [`SCRATCH_BYTES`] a surfel of a brick with its halo ([`CELL_SCRATCH_BYTES`] where linels and pointels are kept), or more where normals need it ([`NormalKernel::scratch_bytes`]), such as 8 bytes a voxel within reach of the gradient |
+//! | scratch of workers | what [`super::scratch`] says of the worst brick of S planes, a quarter of what is left at most; at least that of one plane |
 //!
 //! The number of surfels is only known when they are met, so slabs adapt: a slab is lowered until
 //! the surfels that must be held at once fit ([`Plan::surfel_budget_bytes`]); a surface that does
@@ -37,37 +37,13 @@ use crate::surfel::Surfels;
 
 use super::access::{Access, Sparse};
 use super::chunks::ChunkPlan;
+use super::scratch::{Needs, Stage};
 
 /// The program itself, its stacks, allocator slack and one open part.
 pub const FIXED_BYTES: u64 = 56 << 20;
 
 /// Buffers of each further column of parts that is open at the same time.
 pub const COLUMN_BYTES: u64 = 24 << 20;
-
-/// Scratch of a worker for each surfel of a brick and its halo: place, links, measures, and
-/// the same in the order of blocks.
-pub const SCRATCH_BYTES: u64 = 92 + FLOAT_BYTES + BLOCK_BYTES;
-
-/// The same for surfels in the order of blocks: coordinates, steps, neighbours, components, tags, labels.
-const BLOCK_BYTES: u64 = 84;
-
-/// Scratch of a worker for each surfel of a brick whose sums are made.
-const SUMMED_BYTES: u64 = 130;
-
-/// The same as [`SCRATCH_BYTES`] where linels and pointels are summed each for itself.
-pub const CELL_SCRATCH_BYTES: u64 = 300;
-
-/// The same for the measures of a surfel as floating point numbers.
-const FLOAT_BYTES: u64 = 64;
-
-/// Scratch of a worker for each surfel that a normal may look at.
-const NORMAL_SCRATCH_BYTES: u64 = 50;
-
-/// Scratch of a worker for each voxel of a brick whose integral invariants are taken, at worst.
-const INVARIANT_SCRATCH_BYTES: u64 = 300;
-
-/// Scratch of a worker for each surfel of a brick and its halo in a pass that refines normals: place, links, estimate, sample.
-const REFINING_SCRATCH_BYTES: u64 = 170;
 
 /// Memory of a surfel in flight for each pass that refines normals: u, offset, marks.
 const REFINED_BYTES: u64 = 33;
@@ -76,14 +52,23 @@ const REFINED_BYTES: u64 = 33;
 /// the channel.
 const SLABS_A_PASS: u64 = 3;
 
-/// Surfels a voxel of the worst volumes: random noise has 1.5.
-const DENSE: f64 = 1.6;
-
 /// Stored bytes read at a time; more only makes the buffer larger.
 const READ_BYTES: u64 = 4 << 20;
 
-/// Reaches of normals beyond this ask for bricks of more than 64 voxels.
+/// Reaches of normals beyond this ask for wide bricks, however few there are.
 const WIDE_REACH: i32 = 40;
+
+/// Greatest heights of slabs that are tried; the first two only with a wide reach.
+const HEIGHTS: [i32; 14] = [128, 96, 64, 48, 32, 24, 16, 12, 8, 6, 4, 3, 2, 1];
+
+/// Edges of bricks that are tried.
+const EDGES: [i32; 7] = [128, 96, 64, 48, 32, 24, 16];
+
+/// Bricks of this edge may be few.
+const NARROW_BRICK: i32 = 64;
+
+/// Wider ones are so many a slab and worker, at least.
+const BRICKS_A_THREAD: u64 = 4;
 
 /// Slabs with an index held at once beside the planes within reach of the sums: three in the
 /// window of the sums, which reach cuts anywhere, one in a channel, one measured and one it waits
@@ -97,6 +82,15 @@ fn slabs_in_flight(passes: usize) -> u64 {
 
 /// Planes of rows on their way at once: one made, two in the channel, one in the sinks.
 const SENT_PLANES: u64 = 4;
+
+/// Memory of mu_Omega of a surfel, or of its linels, which are two on the average.
+pub(super) fn omega_bytes(asked: bool, lumped: bool) -> u64 {
+    match (asked, lumped) {
+        (false, _) => 0,
+        (true, true) => 8,
+        (true, false) => 18,
+    }
+}
 
 /// How a run will use its memory.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -118,7 +112,7 @@ pub struct Plan {
     pub refining_reach: Vec<[i32; 3]>,
     /// Reach of the sums or integral invariants, in cells: the halo of a brick.
     pub ball_reach: [i32; 3],
-    /// Memory of bits and indices.
+    /// Memory of bits and indices, with slabs of one plane.
     pub bits_bytes: u64,
     /// Memory of grey values; 0 unless normals are made from them.
     pub grey_bytes: u64,
@@ -128,7 +122,8 @@ pub struct Plan {
     pub scratch_bytes: u64,
     /// Memory of everything that does not depend on the volume, and of the sinks.
     pub fixed_bytes: u64,
-    /// Memory left for surfels in flight, a quarter of it for the rows of a slab.
+    /// Memory left for surfels in flight, a quarter of it for the rows of a slab. Where surfels leave room, bits and
+    /// indices of slabs of several planes share it.
     pub surfel_budget_bytes: u64,
     /// Memory of a surfel in flight.
     pub surfel_bytes: u64,
@@ -297,13 +292,10 @@ impl Plan {
             (0..kernel.passes()).map(|n| kernel.reach(n)).collect()
         });
         let refining_ahead: i32 = refining_reach.iter().map(|reach| reach[2] + 1).sum();
-        let widest_pass = refining_reach.iter().fold([0; 3], |widest, reach| {
-            [0, 1, 2].map(|a| reach[a].max(widest[a]))
-        });
         let widest = ball_reach
             .into_iter()
             .chain(normal_reach)
-            .chain(widest_pass)
+            .chain(refining_reach.iter().flatten().copied())
             .max()
             .unwrap_or(0);
         if widest > Surfels::MAX_CELLS / 4 {
@@ -322,8 +314,7 @@ impl Plan {
             + only_if(request.quality, 4);
         let row_bytes = 32 + radii * (20 + asked_bytes);
         let sent_row_bytes = SENT_PLANES * (41 + radii * (18 + asked_bytes));
-        // mu_Omega of a surfel, or of its linels: two on the average
-        let omega_bytes = only_if(request.quality, if lumped { 8 } else { 18 });
+        let omega_bytes = omega_bytes(request.quality, lumped);
         // u, measures, marks, and the row it was given in
         let given_row = request.given.map_or(0, |_| given::ROW_BYTES);
         let passes = refining_reach.len() as u64;
@@ -397,13 +388,15 @@ impl Plan {
         };
         let (normal_z, ball_z) = (normal_reach[2] as u64, ball_reach[2] as u64);
         let bits_bytes = |edge: i32, slab: i32| {
-            let indexed = 2 * (ball_z + refining_ahead as u64)
-                + slabs_in_flight(refining_reach.len()) * slab as u64;
-            let indexed = indexed.min(z + 1);
-            let packed = indexed + 2 * normal_z + ball_z + 6 + slab as u64 + waiting;
-            if let Some(bytes) = tiles(packed, 8) {
+            let slabs = slabs_in_flight(refining_reach.len());
+            let indexed = |height: u64| 2 * (ball_z + refining_ahead as u64) + slabs * height;
+            let packed = 2 * normal_z + ball_z + 6 + slab as u64 + waiting;
+            if let Some(bytes) = tiles(packed + indexed(slab as u64).min(z + 1), 8) {
                 return bytes;
             }
+            // Higher slabs are paid for when they are chosen.
+            let indexed = indexed(1).min(z + 1);
+            let packed = packed + indexed;
             // 3 words of 12 bytes for each word of a row; rows start on a word in each brick
             let edge = edge as u64;
             let plane_index = x.div_ceil(edge) * edge.div_ceil(64) * 36 * y;
@@ -420,77 +413,60 @@ impl Plan {
             tiles(planes, Sparse::grey_row_bytes(access.voxel_bytes))
                 .unwrap_or_else(|| stored_plane.saturating_mul(planes.min(z)))
         };
-        let surfel_scratch = omega_bytes
-            + if lumped {
-                SCRATCH_BYTES
-            } else {
-                CELL_SCRATCH_BYTES
-            };
+        let needs = Needs {
+            normals,
+            ball_reach,
+            lumped,
+            invariants: !invariants.is_empty(),
+            omega_bytes,
+        };
+        let stages = refining_reach.iter().map(|&reach| Stage::Refining(reach));
+        let stages: Vec<Stage> = [Stage::Normals, Stage::Cells, Stage::Sums]
+            .into_iter()
+            .chain(stages)
+            .collect();
+        let cell_dims = lattice.cell_dims();
         let scratch_bytes = |edge: i32, slab: i32| {
-            let grown = |reach: [i32; 3], bytes: f64| {
-                let cells = f64::from((edge + 2 * reach[0]).min(lattice.dims[0] as i32 + 1))
-                    * f64::from((edge + 2 * reach[1]).min(lattice.dims[1] as i32 + 1))
-                    * f64::from((slab + 2 * reach[2]).min(lattice.dims[2] as i32 + 1));
-                (cells * bytes) as u64
-            };
-            let core = [0, 1, 2].map(|a| [edge, edge, slab][a].min(lattice.dims[a] as i32 + 1));
-            let of_normals = if normals.needs_grey() {
-                // values of voxels; surfels of the core only
-                grown(normal_reach, size_of::<f64>() as f64)
-                    + grown([0; 3], DENSE * NORMAL_SCRATCH_BYTES as f64)
-            } else {
-                let by_blocks = matches!(normals, NormalKernel::Average(_));
-                let surfel_bytes = NORMAL_SCRATCH_BYTES + only_if(by_blocks, BLOCK_BYTES);
-                normals
-                    .scratch_bytes(core)
-                    .unwrap_or_else(|| grown(normal_reach, DENSE * surfel_bytes as f64))
-            };
-            let of_sums = if invariants.is_empty() {
-                grown(ball_reach, DENSE * surfel_scratch as f64)
-                    + grown([0; 3], DENSE * SUMMED_BYTES as f64)
-            } else {
-                // surfels of the core alone, and the bits around it
-                let volume = |grown: fn(i32) -> i32| -> u64 {
-                    let along = |a: usize| (core[a] + grown(ball_reach[a])) as u64;
-                    along(0) * along(1) * along(2)
-                };
-                volume(|_| 2) * INVARIANT_SCRATCH_BYTES + volume(|reach| 2 * reach + 128) / 8
-            };
-            let of_passes = if refining_reach.is_empty() {
-                0
-            } else {
-                grown(widest_pass, DENSE * REFINING_SCRATCH_BYTES as f64)
-            };
-            of_sums.max(of_normals).max(of_passes) * request.threads as u64
+            let of_stage = |&stage: &Stage| needs.most_bytes(stage, [edge, edge, slab], cell_dims);
+            stages.iter().map(of_stage).max().unwrap_or(0)
         };
         let layer_bytes = layer_bits.saturating_add(layer_grey);
         let base = (fixed_bytes.saturating_add(read_bytes)).saturating_add(layer_bytes);
         let left = request.memory_bytes.saturating_sub(base);
         let is_wide = normal_reach.into_iter().max() > Some(WIDE_REACH);
         // Grey values come first. They are large, so a slab is only higher than one plane if they
-        // leave 3/4. Of the rest bits may take up to 3/8, or 1/2 if nothing else fits, and scratch up to 1/4, or what
-        // bits leave of 5/8 where wide bricks save much work; what then is left is for surfels.
+        // leave 3/4. Of the rest bits may take up to 3/8, or 1/2 if nothing else fits, and scratch up to 1/4, or 1/8 where bits
+        // take much; but what bits leave of 5/8 where wide bricks save much work. What then is left is for surfels.
+        let for_scratch = |edge: i32, slab: i32| {
+            let rest = left.saturating_sub(grey_bytes(slab));
+            let bits = bits_bytes(edge, slab);
+            if is_wide {
+                (rest / 8 * 5).saturating_sub(bits)
+            } else if bits > rest / 8 {
+                rest / 8
+            } else {
+                rest / 4
+            }
+        };
         let fits = |edge: i32, slab: i32, eighths: u64| {
             let grey = grey_bytes(slab);
             let rest = left.saturating_sub(grey);
-            let (bits, scratch) = (bits_bytes(edge, slab), scratch_bytes(edge, slab));
-            let for_scratch = if is_wide {
-                (rest / 8 * 5).saturating_sub(bits)
-            } else {
-                rest / 4
-            };
-            (slab == 1 || grey <= left / 4) && bits <= rest / 8 * eighths && scratch <= for_scratch
+            (slab == 1 || grey <= left / 4)
+                && bits_bytes(edge, slab) <= rest / 8 * eighths
+                && scratch_bytes(edge, 1) <= for_scratch(edge, slab)
         };
-        const HEIGHTS: [i32; 14] = [128, 96, 64, 48, 32, 24, 16, 12, 8, 6, 4, 3, 2, 1];
-        const EDGES: [i32; 7] = [128, 96, 64, 48, 32, 24, 16];
-        // Work done again in rims as wide as a brick would be most of the work.
-        let small = if is_wide { 0 } else { 2 };
-        let edges: &[i32] = match request.brick {
-            Some(ref edge) => std::slice::from_ref(edge),
-            None => &EDGES[small..],
+        // Rims are done again, so wide bricks save work, as long as there are enough for the workers.
+        let [columns_x, columns_y] = [0, 1].map(|a| cell_dims[a] as u64);
+        let enough = |edge: i32| {
+            let bricks = columns_x.div_ceil(edge as u64) * columns_y.div_ceil(edge as u64);
+            edge <= NARROW_BRICK || is_wide || bricks >= BRICKS_A_THREAD * request.threads as u64
+        };
+        let edges: Vec<i32> = match request.brick {
+            Some(edge) => vec![edge],
+            None => EDGES.into_iter().filter(|&edge| enough(edge)).collect(),
         };
         let chosen = |eighths: u64| {
-            HEIGHTS[small..]
+            HEIGHTS[if is_wide { 0 } else { 2 }..]
                 .iter()
                 .flat_map(|&slab| edges.iter().map(move |&edge| (edge, slab.min(edge))))
                 // low slabs beside wide bricks halo as much as narrow bricks do: prefer cubes
@@ -509,7 +485,8 @@ impl Plan {
         let (bits_bytes, grey_bytes, scratch_bytes) = (
             bits_bytes(brick_edge, slab_planes),
             grey_bytes(slab_planes),
-            scratch_bytes(brick_edge, slab_planes),
+            (scratch_bytes(brick_edge, slab_planes) * request.threads as u64)
+                .min(for_scratch(brick_edge, slab_planes)),
         );
         let mut surfel_budget_bytes = left - bits_bytes - grey_bytes - scratch_bytes;
         let mut chunks = reading.map(|reading| reading.plan);

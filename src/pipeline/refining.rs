@@ -13,9 +13,11 @@ use crate::brick::{BrickGrid, SlabWindow};
 use crate::error::Error;
 use crate::measure::cells::mark;
 use crate::measure::surface::Surface;
-use crate::normal::refine::{Estimate, RefineKernel, settled};
+use crate::normal::refine::{Estimate, RefineKernel, Refined, settled};
+use crate::surfel::CellBox;
 use crate::volume::PlaneWindow;
 
+use super::scratch::Stage;
 use super::shared::Shared;
 use super::stages::{NormalBrick, NormalSlab, grid};
 use super::stats::{Clock, Wait};
@@ -96,21 +98,18 @@ fn refine_brick(
 ) -> NormalBrick {
     let core = grid.core(slab.numbers[at], &slab.z);
     let brick = &slab.bricks[at];
-    let around = core.grown(kernel.reach(number), grid.cell_dims);
-    let surface = Surface::extract(voxels, around, shared.lattice, shared.settings.adjacency);
-    let mut estimates = Vec::with_capacity(surface.len());
-    window.for_each_run(grid, around, |slab, at, run| {
-        let from = &slab.bricks[at];
-        estimates.extend(run.map(|i| Estimate {
-            u: from.u[i],
-            offset: from.offsets.get(i).copied().unwrap_or(0.0),
-            cut: from.marks[i] & mark::CUT != 0,
-        }));
-    });
-    let starts: Vec<usize> = (0..surface.len())
-        .filter(|&i| core.contains(surface.surfels.oriented(i).cell()))
-        .collect();
-    let mut refined = kernel.pass(number, &surface, &estimates, &starts);
+    let stage = Stage::Refining(kernel.reach(number));
+    let mut refined = Vec::with_capacity(brick.u.len());
+    let pass = |piece| {
+        refined.extend(refined_piece(
+            shared,
+            kernel,
+            number,
+            (grid, window, voxels),
+            piece,
+        ))
+    };
+    (shared.scratch).in_pieces(shared, voxels, stage, core, pass);
     let is_last = number + 1 == kernel.passes();
     let first = brick.first.as_deref().unwrap_or(&brick.u);
     let mut marks = brick.marks.clone();
@@ -139,4 +138,29 @@ fn refine_brick(
         .clone()
         .unwrap_or_else(|| Arc::new(brick.u.clone()));
     brick.with_normals(u, offsets, Some(first), marks)
+}
+
+/// Estimates of the cells `core` of a brick after a pass.
+fn refined_piece(
+    shared: &Shared<'_>,
+    kernel: &RefineKernel,
+    number: usize,
+    (grid, window, voxels): (&BrickGrid, &SlabWindow<NormalSlab>, &PlaneWindow),
+    core: CellBox,
+) -> Vec<Refined> {
+    let around = core.grown(kernel.reach(number), grid.cell_dims);
+    let surface = Surface::extract(voxels, around, shared.lattice, shared.settings.adjacency);
+    let mut estimates = Vec::with_capacity(surface.len());
+    window.for_each_run(grid, around, |slab, at, run| {
+        let from = &slab.bricks[at];
+        estimates.extend(run.map(|i| Estimate {
+            u: from.u[i],
+            offset: from.offsets.get(i).copied().unwrap_or(0.0),
+            cut: from.marks[i] & mark::CUT != 0,
+        }));
+    });
+    let starts: Vec<usize> = (0..surface.len())
+        .filter(|&i| core.contains(surface.surfels.oriented(i).cell()))
+        .collect();
+    kernel.pass(number, &surface, &estimates, &starts)
 }

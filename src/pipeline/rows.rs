@@ -47,6 +47,27 @@ struct CurvatureRow {
     flags: FlagSet,
 }
 
+/// What is known of some consecutive surfels of a brick.
+#[derive(Clone, Debug)]
+pub(super) struct Own<'a> {
+    /// Normals of all surfels of the brick.
+    pub(super) u: &'a [DVec3],
+    /// Measures of all of them.
+    pub(super) measures: &'a CellMeasures,
+    /// Which they are.
+    pub(super) surfels: Range<usize>,
+}
+
+impl Own<'_> {
+    fn u(&self) -> &[DVec3] {
+        &self.u[self.surfels.clone()]
+    }
+
+    fn marks(&self) -> &[u8] {
+        &self.measures.marks[self.surfels.clone()]
+    }
+}
+
 /// A batch with room for `count` rows.
 pub(super) fn empty_batch(shared: &Shared<'_>, column: [u32; 2], count: usize) -> SurfelBatch {
     let floats = || Vec::with_capacity(count);
@@ -88,9 +109,9 @@ impl BrickRows {
         surface: &Surface,
         measures: &LocalMeasures,
         core: CellBox,
-        u: &[DVec3],
-        own: &CellMeasures,
+        own: &Own<'_>,
     ) -> Self {
+        let (u, marks) = (own.u(), own.marks());
         let unit = shared.lattice.voxel_unit_world();
         let cores: Vec<usize> = (0..surface.len())
             .filter(|&i| core.contains(surface.surfels.oriented(i).cell()))
@@ -99,7 +120,6 @@ impl BrickRows {
             surfels: surfel_rows(
                 shared,
                 cores.iter().map(|&i| surface.surfels.oriented(i)),
-                u,
                 own,
             ),
             ..Default::default()
@@ -115,7 +135,7 @@ impl BrickRows {
                 let values = curvature.map_or([f32::NAN; 4], |c| {
                     [c.mean, c.gaussian, c.k1, c.k2].map(|x| x as f32)
                 });
-                let flags = flags(sums, own.marks[number], curvature.as_ref(), radius_world);
+                let flags = flags(sums, marks[number], curvature.as_ref(), radius_world);
                 curvatures.push(CurvatureRow { values, flags });
                 if shared.settings.gives_errors() {
                     // Islands and surfels without a normal of their own are no part of a surface whose curvature could be missed.
@@ -152,19 +172,18 @@ impl BrickRows {
         voxels: &PlaneWindow,
         core: CellBox,
         surfels: &Surfels,
-        u: &[DVec3],
-        own: &CellMeasures,
+        own: &Own<'_>,
     ) -> Self {
         let unit = shared.lattice.voxel_unit_world();
         let oriented = (0..surfels.list.len()).map(|i| surfels.oriented(i));
         let mut rows = Self {
-            surfels: surfel_rows(shared, oriented, u, own),
+            surfels: surfel_rows(shared, oriented, own),
             ..Default::default()
         };
         for kernel in &shared.kernels.invariants {
             let radius_world = kernel.radius() * unit;
             let found = kernel.curvatures(voxels, shared.lattice, core, surfels);
-            let curvatures = found.iter().zip(&own.marks).map(|((c, cut), &marks)| {
+            let curvatures = found.iter().zip(own.marks()).map(|((c, cut), &marks)| {
                 let mut flags = mark_flags(marks) | curvature_flags(Some(c), radius_world);
                 if *cut || marks & mark::CUT != 0 {
                     flags |= Flag::Border.bit();
@@ -185,6 +204,24 @@ impl BrickRows {
             }
         }
         rows
+    }
+
+    /// Adds the rows of the planes that follow.
+    pub(super) fn append(&mut self, next: Self) {
+        if self.surfels.is_empty() {
+            *self = next;
+            return;
+        }
+        fn each<T>(to: &mut [Vec<T>], next: Vec<Vec<T>>) {
+            for (to, next) in to.iter_mut().zip(next) {
+                to.extend(next);
+            }
+        }
+        self.surfels.extend(next.surfels);
+        each(&mut self.curvatures, next.curvatures);
+        each(&mut self.directions, next.directions);
+        each(&mut self.errors, next.errors);
+        each(&mut self.quality, next.quality);
     }
 
     /// Appends the rows `run` to a batch.
@@ -295,22 +332,22 @@ fn to_world(shared: &Shared<'_>, v: DVec3) -> [f32; 3] {
 fn surfel_rows(
     shared: &Shared<'_>,
     surfels: impl Iterator<Item = OrientedSurfel>,
-    u: &[DVec3],
-    own: &CellMeasures,
+    own: &Own<'_>,
 ) -> Vec<SurfelRow> {
     let unit = shared.lattice.voxel_unit_world();
+    let measures = own.measures;
     surfels
-        .enumerate()
-        .map(|(number, surfel)| {
-            let mu0 = if own.lumped.is_empty() {
-                own.mu0[number]
+        .zip(own.surfels.clone())
+        .map(|(surfel, number)| {
+            let mu0 = if measures.lumped.is_empty() {
+                measures.mu0[number]
             } else {
-                own.lumped[number][0]
+                measures.lumped[number][0]
             };
             SurfelRow {
                 k: surfel.khalimsky(),
                 side: sign(surfel.orientation) as i8,
-                normal: to_world(shared, u[number]),
+                normal: to_world(shared, own.u[number]),
                 area: (fixed::to_measure(i128::from(mu0)) * unit * unit) as f32,
             }
         })

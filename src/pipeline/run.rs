@@ -16,6 +16,7 @@ use super::budget::Budget;
 use super::plan::Plan;
 use super::reader::{ReadCounts, Source, read};
 use super::refining;
+use super::scratch::Scratch;
 use super::sending;
 use super::settings::Settings;
 use super::shared::{Progress, Shared};
@@ -65,6 +66,7 @@ pub fn run(
         .build()
         .map_err(|e| Error::Threads(e.to_string()))?;
     let budget = Budget::new(plan.surfel_budget_bytes / 4 * 3);
+    let scratch = Scratch::new(plan.scratch_bytes, settings.threads);
     let failed = AtomicBool::new(false);
     let shared = Shared {
         settings,
@@ -74,6 +76,7 @@ pub fn run(
         plan,
         pool: &pool,
         budget: &budget,
+        scratch: &scratch,
         progress,
         stop,
         failed: &failed,

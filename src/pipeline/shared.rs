@@ -9,7 +9,8 @@ use crate::lattice::Lattice;
 use crate::volume::ValueType;
 
 use super::budget::Budget;
-use super::plan::Plan;
+use super::plan::{Plan, omega_bytes};
+use super::scratch::{Needs, Scratch};
 use super::settings::{Kernels, Settings};
 
 /// How far a run is; read it from any thread.
@@ -37,6 +38,7 @@ pub(super) struct Shared<'a> {
     pub(super) plan: &'a Plan,
     pub(super) pool: &'a ThreadPool,
     pub(super) budget: &'a Arc<Budget>,
+    pub(super) scratch: &'a Scratch,
     pub(super) progress: &'a Progress,
     /// Set from outside to stop the run.
     pub(super) stop: &'a AtomicBool,
@@ -45,6 +47,18 @@ pub(super) struct Shared<'a> {
 }
 
 impl Shared<'_> {
+    /// What the scratch memory of a brick depends on.
+    pub(super) fn needs(&self) -> Needs<'_> {
+        let lumped = self.kernels.balls.iter().all(|b| b.weights().are_lumped());
+        Needs {
+            normals: &self.kernels.normals,
+            ball_reach: self.plan.ball_reach,
+            lumped,
+            invariants: !self.kernels.invariants.is_empty(),
+            omega_bytes: omega_bytes(self.settings.quality, lumped),
+        }
+    }
+
     /// Whether the run is to end early. Raises the flag that wakes stages that wait.
     pub(super) fn stopped(&self) -> bool {
         if self.stop.load(Ordering::Relaxed) {

@@ -24,7 +24,8 @@ use crate::volume::{BitBox, BitPlane, GreyWindow, PlaneWindow, SolidCounts};
 use super::budget::Grant;
 use super::given;
 use super::reader::Plane;
-use super::rows::BrickRows;
+use super::rows::{BrickRows, Own};
+use super::scratch::Stage;
 use super::sending::{Rows, columns_of, send_plane};
 use super::shared::Shared;
 use super::stats::{Clock, Wait};
@@ -256,16 +257,18 @@ pub(super) fn normals(
         done: false,
     };
     let ahead = reach.max(shared.plan.planes_ahead());
-    let mut slabs: VecDeque<Range<i32>> = VecDeque::new();
+    let mut slabs: VecDeque<Chosen> = VecDeque::new();
     let mut indices = Indices::default();
     let mut found = Found::default();
     let mut z = 0;
     while z < depth {
         arrived.wait_for(z + shared.plan.slab_planes + ahead)?;
-        let (end, surfels) = choose_slab(shared, &grid, &arrived, &mut slabs, &indices, z)?;
-        let bytes = surfels * shared.plan.surfel_bytes;
+        let chosen = choose_slab(shared, &grid, &arrived, &mut slabs, &indices, z)?;
+        let (end, surfels) = (chosen.z.end, chosen.surfels);
+        let bytes = chosen.bytes(shared);
         let taken = clock.wait(Wait::Memory, || {
-            shared.budget.take(bytes, || shared.stopped())
+            let surfel_bytes = bytes - chosen.extra_bytes;
+            (shared.budget).take(bytes, surfel_bytes, || shared.stopped())
         });
         let Some(mut grant) = taken else {
             return Err(Error::Stopped);
@@ -327,9 +330,9 @@ pub(super) fn normals(
         if shared.stopped() || clock.wait(Wait::Output, || out.send(slab)).is_err() {
             return Err(Error::Stopped);
         }
-        slabs.push_back(z..end);
+        slabs.push_back(chosen);
         z = end;
-        arrived.release_before(z - reach - 1, slabs.front().map_or(z, |s| s.start));
+        arrived.release_before(z - reach - 1, slabs.front().map_or(z, |s| s.z.start));
     }
     // The reader has more to say only if it fails; its channel closes when it is done.
     Ok(found)
@@ -404,45 +407,69 @@ impl Indices {
     }
 }
 
-/// Chooses where the slab that begins at plane `z` ends, and counts its surfels.
+/// A slab that was chosen.
+#[derive(Clone, Debug)]
+struct Chosen {
+    z: Range<i32>,
+    surfels: u64,
+    /// What its bits and indices take beyond those of slabs of one plane, which have memory of their own.
+    extra_bytes: u64,
+}
+
+impl Chosen {
+    fn bytes(&self, shared: &Shared<'_>) -> u64 {
+        self.surfels * shared.plan.surfel_bytes + self.extra_bytes
+    }
+}
+
+/// Chooses the slab that begins at plane `z`, and counts its surfels.
 ///
 /// While this slab waits for memory, the stages below go on as far as the slabs before it let
 /// them: each of them works on a slab once the stage before has done the planes that it looks ahead
 /// ([`Plan::looks_ahead`]), and holds as many below. What is still held then, with the
 /// slab itself, must fit the budget; then waiting always ends. A slab of several planes is only
-/// chosen if the planes that must follow before *it* can be let go would fit too.
+/// chosen if the planes that must follow before *it* can be let go would fit too; with it come its bits and indices, for
+/// which nothing else is set aside ([`Plan::bits_bytes`]).
 fn choose_slab(
     shared: &Shared<'_>,
     grid: &BrickGrid,
     arrived: &Arrived<'_>,
-    slabs: &mut VecDeque<Range<i32>>,
+    slabs: &mut VecDeque<Chosen>,
     indices: &Indices,
     z: i32,
-) -> Result<(i32, u64), Error> {
+) -> Result<Chosen, Error> {
     let depth = shared.lattice.cell_dims()[2];
     let (mut done, mut lowest) = (z, z);
     for ahead in shared.plan.looks_ahead() {
-        let waits = slabs.iter().find(|s| s.end + ahead > done);
-        done = waits.map_or(done, |s| s.start);
-        let held = slabs.iter().find(|s| s.end > done - ahead);
-        lowest = lowest.min(held.map_or(z, |s| s.start));
+        let waits = slabs.iter().find(|s| s.z.end + ahead > done);
+        done = waits.map_or(done, |s| s.z.start);
+        let held = slabs.iter().find(|s| s.z.end > done - ahead);
+        lowest = lowest.min(held.map_or(z, |s| s.z.start));
     }
-    while slabs.front().is_some_and(|s| s.end <= lowest) {
+    while slabs.front().is_some_and(|s| s.z.end <= lowest) {
         slabs.pop_front();
     }
-    let held = arrived.surfels(lowest..z);
+    let held: u64 = slabs.iter().map(|slab| slab.bytes(shared)).sum();
     let plan = shared.plan;
     let (room, room_of_rows) = (shared.budget.limit(), plan.surfel_budget_bytes / 4);
     let mut height = plan.slab_planes.min(depth - z);
     loop {
         let end = z + height;
-        let own = arrived.surfels(z..end);
+        let slab = Chosen {
+            z: z..end,
+            surfels: arrived.surfels(z..end),
+            extra_bytes: if height > 1 {
+                extra_bytes(shared, grid, arrived, z..end)
+            } else {
+                0
+            },
+        };
         let densest = (z..end)
             .map(|z| arrived.surfels(z..z + 1))
             .max()
             .unwrap_or(0);
-        let rows = own * plan.row_bytes + densest * plan.sent_row_bytes;
-        let bytes = (held + own) * plan.surfel_bytes;
+        let rows = slab.surfels * plan.row_bytes + densest * plan.sent_row_bytes;
+        let bytes = held + slab.bytes(shared);
         let follow = arrived.surfels(end..(end + plan.planes_ahead()).min(depth));
         let fits = bytes <= room && rows <= room_of_rows;
         let may_be_higher = || {
@@ -450,7 +477,7 @@ fn choose_slab(
                 && indices.have_room(shared, grid, &arrived.window, z..end)
         };
         if fits && (height == 1 || may_be_higher()) {
-            return Ok((end, own));
+            return Ok(slab);
         }
         if height == 1 {
             // A larger plan spends part of what is added on bits and scratch: at most 5/8.
@@ -458,12 +485,26 @@ fn choose_slab(
                 (bytes.saturating_sub(room) * 4 / 3).max(rows.saturating_sub(room_of_rows) * 4);
             return Err(Error::TooDense {
                 plane: z,
-                surfels: held + own,
+                surfels: bytes / plan.surfel_bytes,
                 needed_bytes: plan.memory_bytes + 3 * more,
             });
         }
         height /= 2;
     }
+}
+
+/// Bits and indices of a slab of planes `z`, if every brick that can have surfels has some; 0 where they are planned
+/// for the whole volume.
+fn extra_bytes(shared: &Shared<'_>, grid: &BrickGrid, arrived: &Arrived<'_>, z: Range<i32>) -> u64 {
+    if shared.plan.index_bytes().is_some() {
+        return 0;
+    }
+    let window = &arrived.window;
+    let size = [grid.edge, grid.edge, z.end - z.start];
+    let bricks = grid
+        .occupied(window, z.clone(), shared.lattice.closed)
+        .len() as u64;
+    held_bytes(&window.narrowed(z).planes) + bricks * SurfelIndex::most_bytes(size)
 }
 
 /// The brick of these cells; `None` if it has no surfel, or nobody wants to know any more.
@@ -473,27 +514,31 @@ fn normal_brick(shared: &Shared<'_>, around: &Around<'_>, core: CellBox) -> Opti
     if index.is_empty() || shared.stopped() {
         return None;
     }
-    let surfels = Surfels::list(&index, &bits);
-    let normals = shared
-        .kernels
-        .normals
-        .estimate(around, shared.lattice, core, &surfels);
-    let marks = normals
-        .degenerate
-        .iter()
-        .zip(&normals.cut)
-        .map(|(&degenerate, &cut)| {
-            (if degenerate { mark::DEGENERATE } else { 0 }) | (if cut { mark::CUT } else { 0 })
-        })
-        .collect();
-    Some(NormalBrick {
-        index: Arc::new(index),
-        u: normals.u,
-        marks,
+    let mut brick = NormalBrick {
+        u: Vec::with_capacity(index.len()),
+        marks: Vec::with_capacity(index.len()),
         offsets: Vec::new(),
         first: None,
-        sides: normals.sides,
-    })
+        sides: Sides::default(),
+        index: Arc::new(index),
+    };
+    let estimate = |piece: CellBox| {
+        let surfels = if piece == core {
+            Surfels::list(&brick.index, &bits)
+        } else {
+            Surfels::list(&SurfelIndex::find(&bits, piece, shared.lattice), &bits)
+        };
+        let kernel = &shared.kernels.normals;
+        let normals = kernel.estimate(around, shared.lattice, piece, &surfels);
+        brick.u.extend(normals.u);
+        let marks = normals.degenerate.iter().zip(&normals.cut);
+        brick.marks.extend(marks.map(|(&degenerate, &cut)| {
+            (if degenerate { mark::DEGENERATE } else { 0 }) | (if cut { mark::CUT } else { 0 })
+        }));
+        brick.sides.join(&normals.sides);
+    };
+    (shared.scratch).in_pieces(shared, around.bits, Stage::Normals, core, estimate);
+    Some(brick)
 }
 
 /// What of the cells is evaluated, and how it is kept.
@@ -568,6 +613,23 @@ pub(super) fn cells(
 }
 
 fn measure_brick(
+    shared: &Shared<'_>,
+    grid: &BrickGrid,
+    window: &SlabWindow<NormalSlab>,
+    voxels: &PlaneWindow,
+    core: CellBox,
+) -> (CellMeasures, CellTotals) {
+    let (mut measures, mut totals) = (CellMeasures::default(), CellTotals::default());
+    let evaluate = |piece| {
+        let (of_piece, totals_of_piece) = measure_piece(shared, grid, window, voxels, piece);
+        totals.add(&totals_of_piece);
+        measures.append(of_piece);
+    };
+    (shared.scratch).in_pieces(shared, voxels, Stage::Cells, core, evaluate);
+    (measures, totals)
+}
+
+fn measure_piece(
     shared: &Shared<'_>,
     grid: &BrickGrid,
     window: &SlabWindow<NormalSlab>,
@@ -658,12 +720,32 @@ fn row_brick(
     at: usize,
 ) -> BrickRows {
     let core = grid.core(slab.numbers()[at], &slab.z());
+    let mut rows = BrickRows::default();
+    let compute = |piece| rows.append(row_piece(shared, grid, window, voxels, slab, at, piece));
+    (shared.scratch).in_pieces(shared, voxels, Stage::Sums, core, compute);
+    rows
+}
+
+/// Rows of the cells `core` of a brick, which are some of its planes.
+fn row_piece(
+    shared: &Shared<'_>,
+    grid: &BrickGrid,
+    window: &SlabWindow<MeasureSlab>,
+    voxels: &PlaneWindow,
+    slab: &MeasureSlab,
+    at: usize,
+    core: CellBox,
+) -> BrickRows {
     let brick = &slab.normals.bricks[at];
+    let own = Own {
+        u: &brick.u,
+        measures: &slab.measures[at],
+        surfels: brick.index.planes(core.lo[2]..core.hi[2]),
+    };
     if shared.settings.curvature == Method::Invariants {
         let bits = BitBox::cut(voxels, core.lo.map(|c| c - 1), core.hi.map(|c| c + 1));
-        let surfels = Surfels::list(&brick.index, &bits);
-        let own = &slab.measures[at];
-        return BrickRows::by_invariants(shared, voxels, core, &surfels, &brick.u, own);
+        let surfels = Surfels::list(&SurfelIndex::find(&bits, core, shared.lattice), &bits);
+        return BrickRows::by_invariants(shared, voxels, core, &surfels, &own);
     }
     let around = core.grown(shared.plan.ball_reach, grid.cell_dims);
     let surface = Surface::extract(voxels, around, shared.lattice, shared.settings.adjacency);
@@ -706,12 +788,5 @@ fn row_brick(
         }
     });
     let measures = LocalMeasures::new(&surface, gathered);
-    BrickRows::compute(
-        shared,
-        &surface,
-        &measures,
-        core,
-        &brick.u,
-        &slab.measures[at],
-    )
+    BrickRows::compute(shared, &surface, &measures, core, &own)
 }

@@ -160,6 +160,17 @@ impl SurfelIndex {
         self.rank_at(row, x.start) as usize..self.rank_at(row, x.end) as usize
     }
 
+    /// Numbers of the surfels of planes `z` of cells, which must be covered.
+    #[must_use]
+    pub fn planes(&self, z: Range<i32>) -> Range<usize> {
+        let rows = 3 * (self.cells.hi[1] - self.cells.lo[1]) as usize;
+        let before = |z: i32| {
+            let planes = (z - self.cells.lo[2]) as usize;
+            self.rank[planes * rows * self.words_per_row] as usize
+        };
+        before(z.start)..before(z.end)
+    }
+
     /// How many surfels of one kind are in the cells `x` of a row.
     #[inline(always)]
     #[must_use]

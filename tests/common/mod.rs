@@ -12,7 +12,7 @@ use curvox::measure::evaluate;
 use curvox::measure::surface::Surface;
 use curvox::normal::refine::{Estimate, RefineKernel, settled};
 use curvox::normal::{Around, NormalKernel};
-use curvox::pipeline::{Access, Outcome, Progress, Settings, Source, run};
+use curvox::pipeline::{Access, Outcome, Plan, Progress, Settings, Source, run};
 use curvox::sink::SurfelBatch;
 use curvox::surfel::CellBox;
 use curvox::volume::{Binarizer, BitPlane, Criterion, PlaneWindow, SolidCounts};
@@ -258,11 +258,20 @@ pub(crate) fn source(solid: &Solid) -> Source {
 /// Runs the pipeline on a solid.
 pub(crate) fn tried(solid: &Solid, settings: &Settings) -> Result<(SurfelBatch, Outcome), Error> {
     let plan = settings.plan(&Access::forward(1), 0)?;
+    tried_with(solid, settings, &plan)
+}
+
+/// Runs the pipeline on a solid with a plan of one's own.
+pub(crate) fn tried_with(
+    solid: &Solid,
+    settings: &Settings,
+    plan: &Plan,
+) -> Result<(SurfelBatch, Outcome), Error> {
     let mut rows = Collected::default();
     let outcome = run(
         source(solid),
         settings,
-        &plan,
+        plan,
         &mut [&mut rows],
         &Progress::default(),
         &AtomicBool::new(false),
