@@ -175,6 +175,8 @@ impl<S: Slab> SlabWindow<S> {
         let [bricks_x, bricks_y] = [0, 1].map(|a| {
             (cells.lo[a] / grid.edge) as usize..((cells.hi[a] - 1) / grid.edge + 1) as usize
         });
+        // Bricks of a row of bricks with surfels in a plane, and the cells of theirs along x that count.
+        let mut row: Vec<(usize, Range<i32>)> = Vec::new();
         for z in cells.lo[2]..cells.hi[2] {
             let slab = self
                 .slabs
@@ -187,18 +189,23 @@ impl<S: Slab> SlabWindow<S> {
                     // The bricks of this row of bricks that meet the box.
                     let from = numbers.partition_point(|&n| n < by * nx + bricks_x.start);
                     let to = numbers.partition_point(|&n| n < by * nx + bricks_x.end);
-                    if from == to {
+                    row.clear();
+                    for (at, &number) in (from..to).zip(&numbers[from..to]) {
+                        if !slab.index(at).planes(z..z + 1).is_empty() {
+                            let lo = (number % nx) as i32 * grid.edge;
+                            row.push((at, cells.lo[0].max(lo)..cells.hi[0].min(lo + grid.edge)));
+                        }
+                    }
+                    if row.is_empty() {
                         continue;
                     }
                     let first = by as i32 * grid.edge;
                     for y in first.max(cells.lo[1])..(first + grid.edge).min(cells.hi[1]) {
                         for &kind in kinds {
-                            for (at, &number) in (from..to).zip(&numbers[from..to]) {
-                                let lo = (number % nx) as i32 * grid.edge;
-                                let x = cells.lo[0].max(lo)..cells.hi[0].min(lo + grid.edge);
-                                let run = slab.index(at).range(kind, x, y, z);
+                            for (at, x) in &row {
+                                let run = slab.index(*at).range(kind, x.clone(), y, z);
                                 if !run.is_empty() {
-                                    f(slab, at, run);
+                                    f(slab, *at, run);
                                 }
                             }
                         }

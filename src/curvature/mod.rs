@@ -89,19 +89,19 @@ impl Curvature {
         if mu0 <= 0.0 {
             return None;
         }
-        let per_length = 1.0 / unit_world;
-        let shape = Symmetric::from_terms(tensor.terms().map(|term| term / mu0));
+        let (per_length, per_area) = (1.0 / unit_world, 1.0 / mu0);
+        let shape = Symmetric::from_terms(tensor.terms().map(|term| term * per_area));
         let ([k1, k2], [d1, d2]) = beside_penalty(&shape, u, NORMAL_PENALTY)
             .unwrap_or_else(|| principal_by_jacobi(&shape, u));
         let mu1 = tensor.xx + tensor.yy + tensor.zz;
         Some(Self {
-            mean: mu1 / (2.0 * mu0) * per_length,
-            gaussian: mu2 / mu0 * per_length * per_length,
+            mean: 0.5 * mu1 * per_area * per_length,
+            gaussian: mu2 * per_area * per_length * per_length,
             k1: k1 * per_length,
             k2: k2 * per_length,
             d1,
             d2,
-            quality: omega / mu0 * per_length,
+            quality: omega * per_area * per_length,
         })
     }
 }

@@ -102,14 +102,16 @@ pub fn error_bars(
     let tilt = TILT * (c1 * c1 + c2 * c2 + (c1 + c2) * (c1 + c2)).sqrt() * scale * radius * radius;
     let left = (contrast - tilt).abs().max(0.1 * contrast) / contrast;
     let ridges = evidence.ridges.min(MOST_RIDGES);
+    // 0 up to 1, as for most surfels
+    let above_one = |x: f64| if x > 1.0 { libm::log(x) } else { 0.0 };
     let terms = [
         1.0,
         libm::log(contrast),
-        libm::log((0.2 * contrast).max(1.0)),
+        above_one(0.2 * contrast),
         ridges,
         ridges * ridges,
         libm::log(mean.max(0.1 * contrast)),
-        libm::log((k1.abs().max(k2.abs()) * radius / 0.25).max(1.0)),
+        above_one(k1.abs().max(k2.abs()) * radius / 0.25),
         libm::log(left.min(most)),
     ];
     // Their weights reach less far, so noise makes the two sums differ more.

@@ -468,15 +468,13 @@ impl BallKernel {
 
     /// From sums over a group.
     fn of_group(&self, sums: &GroupSums, falloff: Falloff) -> BallSums {
-        let unit = falloff.unit();
-        let mut measures = [[0.0; 8]; 2];
-        let mut omega = [0.0; 2];
-        for k in 0..2 {
-            for (to, &x) in measures[k].iter_mut().zip(&sums.measures[k]) {
-                *to = fixed::number(x) / unit;
-            }
-            omega[k] = fixed::number(sums.omega[k]) / unit;
+        // a power of two, so this is exact
+        let per_unit = 1.0 / falloff.unit();
+        let mut measures = sums.measures;
+        for x in measures.as_flattened_mut() {
+            *x *= per_unit;
         }
+        let omega = [sums.omega[0] * per_unit, sums.omega[1] * per_unit];
         let (x, omega, evidence) = match self.weights {
             Weights::Compensated(of) => {
                 let ridges = f64::from(sums.ridges) / f64::from(sums.count.max(1));

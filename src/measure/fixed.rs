@@ -64,7 +64,13 @@ pub fn to_measure(sum: i128) -> f64 {
 /// A sum as a number; nearly all fit 64 bits, which is quicker.
 #[inline]
 pub(super) fn number(sum: i128) -> f64 {
-    i64::try_from(sum).map_or_else(|_| sum as f64, |sum| sum as f64)
+    /// Apart, or the compiler makes one conversion of both.
+    #[cold]
+    #[inline(never)]
+    fn wide(sum: i128) -> f64 {
+        sum as f64
+    }
+    i64::try_from(sum).map_or_else(|_| wide(sum), |sum| sum as f64)
 }
 
 /// A sum of mu2 of pointels as a solid angle.

@@ -18,6 +18,7 @@ use crate::surfel::{Blocks, Rim};
 
 use super::ball::Extent;
 use super::cells::{Lumped, mark};
+use super::fixed;
 use super::surface::Surface;
 
 /// A weight of 1.
@@ -52,11 +53,11 @@ pub(super) struct Task<'a> {
     pub(super) starts: &'a [usize],
 }
 
-/// Sums around one surfel, of weight times measure, by weight; see [`Falloff::unit`].
+/// Sums around one surfel, of weight times measure, by weight, rounded once; see [`Falloff::unit`].
 #[derive(Clone, Copy, Debug)]
 pub(super) struct GroupSums {
-    pub(super) measures: [[i128; 8]; 2],
-    pub(super) omega: [i128; 2],
+    pub(super) measures: [[f64; 8]; 2],
+    pub(super) omega: [f64; 2],
     pub(super) rim: Rim,
     pub(super) several_sheets: bool,
     /// Some surfel that was summed is [`mark::NEAR_CUT`].
@@ -238,6 +239,7 @@ impl<'a, S: Squares> Sums<'a, S> {
                 centre: vicinity.relative(place as usize),
                 sums: [[0.0; 8]; 2],
                 wide: [[0; 8]; 2],
+                is_wide: false,
                 omega: [0; 2],
                 counts: Counts::default(),
             });
@@ -349,7 +351,6 @@ impl<'a, S: Squares> Sums<'a, S> {
                 widen(std::slice::from_mut(member));
             }
         }
-        widen(members);
     }
 
     /// What was summed around a member.
@@ -359,9 +360,19 @@ impl<'a, S: Squares> Sums<'a, S> {
             Extent::Whole => (c.near_cut_in_ball, c.in_ball, c.ridges_in_ball),
             Extent::Connected => (c.near_cut, c.connected, c.ridges),
         };
+        let mut measures = member.sums;
+        if member.is_wide {
+            for (to, wide) in measures
+                .iter_mut()
+                .flatten()
+                .zip(member.wide.as_flattened())
+            {
+                *to = fixed::number(wide + i128::from(*to as i64));
+            }
+        }
         GroupSums {
-            measures: member.wide,
-            omega: member.omega,
+            measures,
+            omega: member.omega.map(fixed::number),
             rim: vicinity.rim(m, c.connected, c.open > 0),
             several_sheets: c.in_ball > c.connected,
             near_cut: near_cut > 0,
@@ -547,6 +558,7 @@ struct Member {
     sums: [[f64; 8]; 2],
     /// What `sums` was before it could become inexact.
     wide: [[i128; 8]; 2],
+    is_wide: bool,
     omega: [i128; 2],
     counts: Counts,
 }
@@ -604,6 +616,7 @@ impl Default for Buffers {
 /// Moves sums to wide integers.
 fn widen(members: &mut [Member]) {
     for member in members {
+        member.is_wide = true;
         for (sums, wide) in member.sums.iter_mut().zip(&mut member.wide) {
             for (sum, wide) in sums.iter_mut().zip(wide) {
                 // below 2^53, so i64 holds it
