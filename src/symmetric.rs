@@ -232,6 +232,7 @@ pub struct Symmetric {
 
 impl Symmetric {
     /// The symmetric part of `a` times the transpose of `b`.
+    #[inline(always)]
     #[must_use]
     pub fn outer(a: DVec3, b: DVec3) -> Self {
         Self {
@@ -245,6 +246,7 @@ impl Symmetric {
     }
 
     /// The terms in the order xx, yy, zz, xy, xz, yz.
+    #[inline(always)]
     #[must_use]
     pub fn terms(&self) -> [f64; 6] {
         [self.xx, self.yy, self.zz, self.xy, self.xz, self.yz]

@@ -27,18 +27,29 @@ pub const QUARTER_TURN: i64 = 1 << 44;
 /// The full sphere, `4 pi`, in the unit of mu2 of a pointel.
 pub const SPHERE: i64 = 8 * QUARTER_TURN;
 
-/// Rounds an area or tensor term once, half away from zero.
-#[inline]
-#[must_use]
-pub fn from_measure(x: f64) -> i64 {
-    (x * ONE).round() as i64
+/// The nearest integer, halves to even, of a number below 2^51 in size; 0 of any other, which no measure is. The same of -x is
+/// exactly the negative.
+#[inline(always)]
+fn nearest(x: f64) -> i64 {
+    // the last binary digit of what is added is 1
+    const LARGE: f64 = 1.5 * (1u64 << 52) as f64;
+    const LIMIT: f64 = (1u64 << 51) as f64;
+    let x = if x.abs() < LIMIT { x } else { 0.0 };
+    (x + LARGE).to_bits().wrapping_sub(LARGE.to_bits()) as i64
 }
 
-/// Rounds a solid angle once, half away from zero, to the unit of mu2 of a pointel.
-#[inline]
+/// Rounds an area or tensor term once, half to even.
+#[inline(always)]
+#[must_use]
+pub fn from_measure(x: f64) -> i64 {
+    nearest(x * ONE)
+}
+
+/// Rounds a solid angle once, half to even, to the unit of mu2 of a pointel.
+#[inline(always)]
 #[must_use]
 pub fn from_solid_angle(x: f64) -> i64 {
-    (x * (QUARTER_TURN as f64 / std::f64::consts::FRAC_PI_2)).round() as i64
+    nearest(x * (QUARTER_TURN as f64 / std::f64::consts::FRAC_PI_2))
 }
 
 /// Areas up to this much above half the sphere count as half the sphere: 4e-9 quarter turns. Less,
@@ -88,13 +99,11 @@ pub const LUMPED_SOLID_ANGLE: f64 = std::f64::consts::FRAC_PI_2 / ONE;
 #[inline]
 #[must_use]
 pub fn lumped_share(mu2: i64, degree: usize) -> i64 {
-    let divisor = 16 * degree as i64;
-    let half = divisor / 2;
-    if mu2 >= 0 {
-        (mu2 + half) / divisor
-    } else {
-        (mu2 - half) / divisor
-    }
+    // Numbers below 2^49 and a small divisor: the quotient is no whole number unless it was one,
+    // and a division of doubles is quicker.
+    let sixteenths = (mu2.abs() + 8 * degree as i64) >> 4;
+    let share = (sixteenths as f64 / degree as f64) as i64;
+    if mu2 < 0 { -share } else { share }
 }
 
 #[cfg(test)]
@@ -118,9 +127,45 @@ mod tests {
     }
 
     #[test]
+    fn measures_are_rounded_to_even_and_odd() {
+        for (x, expected) in [
+            (0.5, 0),
+            (1.5, 2),
+            (2.5, 2),
+            (2.499_999_999, 2),
+            (0.499_999_999, 0),
+            (1e15 + 0.5, 1_000_000_000_000_000),
+            (1e15 + 1.5, 1_000_000_000_000_002),
+            (2e15, 2_000_000_000_000_000),
+        ] {
+            assert_eq!(nearest(x), expected, "{x}");
+            assert_eq!(nearest(-x), -expected, "{x}");
+        }
+        for x in [f64::NAN, f64::INFINITY, 1e300, 3e15] {
+            assert_eq!([nearest(x), nearest(-x)], [0, 0]);
+        }
+    }
+
+    #[test]
     fn shares_are_odd_and_rounded() {
         assert_eq!(lumped_share(16 * 3 * 5 + 24, 3), 6);
         assert_eq!(lumped_share(-(16 * 3 * 5 + 24), 3), -6);
         assert_eq!(lumped_share(16 * 3 * 5 + 23, 3), 5);
+        for degree in 1..=12 {
+            let divisor = 16 * degree as i64;
+            for share in [0, 1, 77, SPHERE / 2 / divisor, (1 << 49) / divisor - 1] {
+                for (above, expected) in [
+                    (-divisor / 2, share),
+                    (divisor / 2 - 1, share),
+                    (divisor / 2, share + 1),
+                ] {
+                    let mu2 = share * divisor + above;
+                    if mu2 > 0 {
+                        assert_eq!(lumped_share(mu2, degree), expected, "{mu2} {degree}");
+                        assert_eq!(lumped_share(-mu2, degree), -expected, "{mu2} {degree}");
+                    }
+                }
+            }
+        }
     }
 }

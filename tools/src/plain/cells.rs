@@ -113,7 +113,9 @@ impl Cells {
             let omega = length * (dot(e, u_f) - dot(e, u_g));
             cells.omega.push(in_units(omega));
             cells.half_omega.push(in_units(0.5 * omega));
-            swept.push((swept_area(f.normal(), g.normal(), u_g, u_f) / MU2_UNIT).round() as i64);
+            swept.push(
+                (swept_area(f.normal(), g.normal(), u_g, u_f) / MU2_UNIT).round_ties_even() as i64,
+            );
         }
         for umbrella in 0..surface.umbrella_count() as u32 {
             let (mu2, lift) = umbrella_mu2(surface, umbrella, &swept);
@@ -153,7 +155,7 @@ fn umbrella_mu2(surface: &Surface, umbrella: u32, swept: &[i64]) -> (i64, i64) {
 }
 
 fn in_units(value: f64) -> i64 {
-    (value / UNIT).round() as i64
+    (value / UNIT).round_ties_even() as i64
 }
 
 /// The integer nearest to a / b, half away from zero; b > 0.

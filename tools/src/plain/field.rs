@@ -57,14 +57,14 @@ pub fn pointel_normals(surface: &Surface, u: &[Vector]) -> Vec<Vector> {
 /// The measures of all surfels.
 pub fn measures(surface: &Surface, u: &[Vector], scale: &Scale, field: Field) -> Vec<FixedSums> {
     let of_pointels = pointel_normals(surface, u);
-    let units = |x: f64| (x / UNIT).round() as i64;
+    let units = |x: f64| (x / UNIT).round_ties_even() as i64;
     (0..surface.len())
         .map(|f| {
             let surfel = &surface.surfels[f];
             let corners = surface.umbrellas_of[f].map(|o| of_pointels[o as usize]);
             let integrals = integrals(surfel, corners, scale, field);
             let mu2 = match field {
-                Field::Linear => (integrals.mu2 / MU2_UNIT).round() as i64,
+                Field::Linear => (integrals.mu2 / MU2_UNIT).round_ties_even() as i64,
                 Field::Constant | Field::Interpolated => area(&outline(surface, f, corners)),
             };
             FixedSums {
@@ -218,7 +218,7 @@ fn area(outline: &[Vector]) -> i64 {
             }
         }
     }
-    let area = (best.1 / MU2_UNIT).round() as i64;
+    let area = (best.1 / MU2_UNIT).round_ties_even() as i64;
     let sphere = 8 * QUARTER;
     area - (area + 4 * QUARTER - 1 - HALF_SPHERE_SLACK).div_euclid(sphere) * sphere
 }
