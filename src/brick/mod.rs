@@ -160,8 +160,8 @@ impl<S: Slab> SlabWindow<S> {
     }
 
     /// Visits the surfels of a box of cells in Khalimsky order, as runs of consecutive surfels of
-    /// one brick: its slab, its place among the bricks of the slab, and the numbers of the surfels
-    /// in it.
+    /// one brick, as long as can be: its slab, its place among the bricks of the slab, and the numbers of the surfels
+    /// in it. Rows of which `occupied` says no have no surfels.
     ///
     /// # Panics
     /// If a plane of the box is not held.
@@ -169,6 +169,7 @@ impl<S: Slab> SlabWindow<S> {
         &'a self,
         grid: &BrickGrid,
         cells: CellBox,
+        occupied: impl Fn(Kind, i32, i32) -> bool,
         mut f: impl FnMut(&'a S, usize, Range<usize>),
     ) {
         let nx = grid.columns()[0] as usize;
@@ -184,6 +185,7 @@ impl<S: Slab> SlabWindow<S> {
                 .find(|s| s.z().contains(&z))
                 .expect("plane held");
             let numbers = slab.numbers();
+            let mut held = (0, 0..0);
             let mut rows = |kinds: &[Kind]| {
                 for by in bricks_y.clone() {
                     // The bricks of this row of bricks that meet the box.
@@ -202,10 +204,21 @@ impl<S: Slab> SlabWindow<S> {
                     let first = by as i32 * grid.edge;
                     for y in first.max(cells.lo[1])..(first + grid.edge).min(cells.hi[1]) {
                         for &kind in kinds {
-                            for (at, x) in &row {
-                                let run = slab.index(*at).range(kind, x.clone(), y, z);
+                            if !occupied(kind, y, z) {
+                                continue;
+                            }
+                            for &(at, ref x) in &row {
+                                let run = slab.index(at).range(kind, x.clone(), y, z);
+                                if run.is_empty() {
+                                    continue;
+                                }
+                                if at == held.0 && run.start == held.1.end {
+                                    held.1.end = run.end;
+                                    continue;
+                                }
+                                let (at, run) = std::mem::replace(&mut held, (at, run));
                                 if !run.is_empty() {
-                                    f(slab, *at, run);
+                                    f(slab, at, run);
                                 }
                             }
                         }
@@ -214,6 +227,10 @@ impl<S: Slab> SlabWindow<S> {
             };
             rows(&[Kind::Z]);
             rows(&[Kind::Y, Kind::X]);
+            let (at, run) = held;
+            if !run.is_empty() {
+                f(slab, at, run);
+            }
         }
     }
 }

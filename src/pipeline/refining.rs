@@ -151,7 +151,8 @@ fn refined_piece(
     let around = core.grown(kernel.reach(number), grid.cell_dims);
     let surface = Surface::extract(voxels, around, shared.lattice, shared.settings.adjacency);
     let mut estimates = Vec::with_capacity(surface.len());
-    window.for_each_run(grid, around, |slab, at, run| {
+    let occupied = |kind, y, z| surface.index.has_any(kind, y, z);
+    window.for_each_run(grid, around, occupied, |slab, at, run| {
         let from = &slab.bricks[at];
         estimates.extend(run.map(|i| Estimate {
             u: from.u[i],

@@ -79,7 +79,12 @@ pub(super) fn send_plane(
             hi: [x.end, y.end, plane + 1],
         };
         let mut runs = Vec::new();
-        window.for_each_run(grid, cells, |_, at, run| runs.push((at, run)));
+        window.for_each_run(
+            grid,
+            cells,
+            |_, _, _| true,
+            |_, at, run| runs.push((at, run)),
+        );
         if runs.is_empty() {
             continue;
         }

@@ -640,7 +640,8 @@ fn measure_piece(
     let surface = Surface::extract(voxels, around, shared.lattice, shared.settings.adjacency);
     let mut u = Vec::with_capacity(surface.len());
     let mut marks = Vec::with_capacity(surface.len());
-    window.for_each_run(grid, around, |slab, at, run| {
+    let occupied = |kind, y, z| surface.index.has_any(kind, y, z);
+    window.for_each_run(grid, around, occupied, |slab, at, run| {
         u.extend_from_slice(&slab.bricks[at].u[run.clone()]);
         marks.extend_from_slice(&slab.bricks[at].marks[run]);
     });
@@ -754,7 +755,8 @@ fn row_piece(
     if by_cells {
         gathered.owned_from.push([0, 0]);
     }
-    window.for_each_run(grid, around, |slab, at, run| {
+    let occupied = |kind, y, z| surface.index.has_any(kind, y, z);
+    window.for_each_run(grid, around, occupied, |slab, at, run| {
         let from = &slab.measures[at];
         gathered.marks.extend_from_slice(&from.marks[run.clone()]);
         if by_cells {

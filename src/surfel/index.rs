@@ -6,7 +6,7 @@
 
 use std::ops::Range;
 
-use crate::khalimsky::{Direction, OrientedSurfel};
+use crate::khalimsky::{Direction, OrientedSurfel, step};
 use crate::lattice::Lattice;
 use crate::simd::{Level, Work, dispatch};
 use crate::volume::{BitBox, PlaneWindow};
@@ -171,6 +171,14 @@ impl SurfelIndex {
         before(z.start)..before(z.end)
     }
 
+    /// Whether a row has surfels of one kind.
+    #[inline(always)]
+    #[must_use]
+    pub fn has_any(&self, kind: Kind, y: i32, z: i32) -> bool {
+        let row = self.row_start(kind, y, z);
+        self.rank[row] != self.rank[row + self.words_per_row]
+    }
+
     /// How many surfels of one kind are in the cells `x` of a row.
     #[inline(always)]
     #[must_use]
@@ -255,7 +263,11 @@ impl SurfelIndex {
     /// Calls `f` for each surfel of a row.
     #[inline(always)]
     fn scan(&self, kind: Kind, row: usize, [y, z]: [i32; 2], f: &mut impl FnMut(Kind, [i32; 3])) {
-        let words = &self.words[row * self.words_per_row..][..self.words_per_row];
+        let first = row * self.words_per_row;
+        if self.rank[first] == self.rank[first + self.words_per_row] {
+            return;
+        }
+        let words = &self.words[first..][..self.words_per_row];
         for (w, &word) in words.iter().enumerate() {
             let mut rest = word;
             while rest != 0 {
@@ -334,57 +346,80 @@ impl Work for Find<'_> {
         let end = dims.map(|n| n + i32::from(lattice.closed));
         let along_x = masks(first, end[0]);
         let across_x = masks(0, dims[0]);
-        let plane_words = 3 * size[1] as usize * words_per_row;
-        let mut total = 0u32;
-        let mut rank = Vec::with_capacity(words.len() + 1);
-        for (dz, plane) in words.chunks_exact_mut(plane_words.max(1)).enumerate() {
+        let row_words = size[1] as usize * words_per_row;
+        // The voxels of two planes from the first cell of each row on; first the row before the first cell.
+        let mut planes = [const { Vec::new() }; 2];
+        self.plane_into(x0, words_per_row, cells.lo[2] - 1, &mut planes[0]);
+        for (dz, plane) in words.chunks_exact_mut((3 * row_words).max(1)).enumerate() {
             let z = cells.lo[2] + dz as i32;
-            let z_owns = (first..end[2]).contains(&z);
-            let z_exists = z < dims[2];
-            let (z_rows, yx_rows) = plane.split_at_mut(size[1] as usize * words_per_row);
-            for dy in 0..size[1] as usize {
-                let y = cells.lo[1] + dy as i32;
-                let here = bits.row(y, z);
-                if z_owns && y < dims[1] {
-                    let below = bits.row(y, z - 1);
-                    for (w, out) in z_rows[dy * words_per_row..][..words_per_row]
-                        .iter_mut()
-                        .enumerate()
-                    {
-                        let x = x0 + 64 * w;
-                        *out = (BitBox::bits(here, x) ^ BitBox::bits(below, x)) & across_x[w];
+            let [here, below] = &mut planes;
+            std::mem::swap(here, below);
+            self.plane_into(x0, words_per_row, z, here);
+            let (z_rows, yx_rows) = plane.split_at_mut(row_words);
+            if (first..end[2]).contains(&z) {
+                // up to the last row of voxels
+                let held = (dims[1] - cells.lo[1]).clamp(0, size[1]) as usize * words_per_row;
+                let both = here[words_per_row..].iter().zip(&below[words_per_row..]);
+                for (out, (here, below)) in z_rows[..held].iter_mut().zip(both) {
+                    *out = here ^ below;
+                }
+                for row in z_rows[..held].chunks_exact_mut(words_per_row) {
+                    for (out, mask) in row.iter_mut().zip(&across_x) {
+                        *out &= mask;
                     }
                 }
-                if !z_exists {
-                    continue;
-                }
-                let pair = &mut yx_rows[2 * dy * words_per_row..][..2 * words_per_row];
+            }
+            if z >= dims[2] {
+                continue;
+            }
+            let rows = yx_rows.chunks_exact_mut(2 * words_per_row);
+            let both = here.windows(2 * words_per_row).step_by(words_per_row);
+            for (dy, (pair, both)) in rows.zip(both).enumerate() {
+                let y = cells.lo[1] + dy as i32;
+                let (before, here) = both.split_at(words_per_row);
+                let (along_y, along_x_row) = pair.split_at_mut(words_per_row);
                 if (first..end[1]).contains(&y) {
-                    let before = bits.row(y - 1, z);
                     for w in 0..words_per_row {
-                        let x = x0 + 64 * w;
-                        pair[w] = (BitBox::bits(here, x) ^ BitBox::bits(before, x)) & across_x[w];
+                        along_y[w] = (here[w] ^ before[w]) & across_x[w];
                     }
                 }
                 if y < dims[1] {
+                    let row = bits.row(y, z);
+                    let mut carry = BitBox::bits(row, x0 - 1) & 1;
                     for w in 0..words_per_row {
-                        let x = x0 + 64 * w;
-                        pair[words_per_row + w] =
-                            (BitBox::bits(here, x) ^ BitBox::bits(here, x - 1)) & along_x[w];
+                        along_x_row[w] = (here[w] ^ (here[w] << 1 | carry)) & along_x[w];
+                        carry = here[w] >> 63;
                     }
                 }
             }
         }
-        for word in &words {
-            rank.push(total);
+        let mut total = 0u32;
+        let mut rank = vec![0; words.len() + 1];
+        for (rank, word) in rank.iter_mut().zip(&words) {
+            *rank = total;
             total += word.count_ones();
         }
-        rank.push(total);
+        rank[words.len()] = total;
         SurfelIndex {
             cells,
             words_per_row,
             words,
             rank,
+        }
+    }
+}
+
+impl Find<'_> {
+    /// The rows of a plane of voxels, from that before the first cell on, each from its first cell on.
+    #[inline(always)]
+    fn plane_into(&self, x0: usize, words_per_row: usize, z: i32, to: &mut Vec<u64>) {
+        let rows = self.cells.lo[1] - 1..self.cells.hi[1];
+        to.resize(rows.len() * words_per_row, 0);
+        for (y, to) in rows.zip(to.chunks_exact_mut(words_per_row)) {
+            let row = self.bits.row(y, z);
+            for (w, to) in to.iter_mut().enumerate() {
+                *to = BitBox::bits(row, x0 + 64 * w);
+            }
         }
     }
 }
@@ -480,6 +515,9 @@ pub struct Surfel {
     pub orientation: Direction,
 }
 
+/// The unit steps along all directions.
+const STEPS: [[i32; 3]; 6] = [step(0), step(1), step(2), step(3), step(4), step(5)];
+
 /// The places of the surfels of an index, in its order.
 #[derive(Clone, Debug, Default)]
 pub struct Surfels {
@@ -508,7 +546,8 @@ impl Surfels {
         index.for_each(|kind, cell| {
             let axis = kind.axis();
             // The cell itself inside: the surfel looks down the axis; else it looks up.
-            let orientation = 2 * axis as Direction + Direction::from(bits.inside(cell));
+            let inside = bits.at(bits.bit(cell).0);
+            let orientation = 2 * axis as Direction + inside as Direction;
             let mut k = [0, 1, 2].map(|a| (2 * (cell[a] - lo[a]) + 1) as i16);
             k[axis] -= 1;
             list.push(Surfel { k, orientation });
@@ -532,13 +571,11 @@ impl Surfels {
     #[must_use]
     pub fn oriented(&self, i: usize) -> OrientedSurfel {
         let orientation = self.list[i].orientation;
-        let a = crate::khalimsky::axis(orientation);
-        let mut k = self.khalimsky(i);
-        k[a] -= crate::khalimsky::sign(orientation);
-        OrientedSurfel {
-            inner: k.map(|k| k >> 1),
-            orientation,
+        let (mut inner, out) = (self.khalimsky(i), STEPS[orientation as usize]);
+        for a in 0..3 {
+            inner[a] = (inner[a] - out[a]) >> 1;
         }
+        OrientedSurfel { inner, orientation }
     }
 }
 

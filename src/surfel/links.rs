@@ -1,8 +1,6 @@
 //! Which surfel lies across each side of each surfel.
 
-use crate::khalimsky::{
-    Adjacency, Direction, OrientedSurfel, SIDE_TOWARDS, SIDES, Turn, axis, moved, sign,
-};
+use crate::khalimsky::{Adjacency, Direction, OrientedSurfel, SIDE_TOWARDS, SIDES, axis, sign};
 use crate::lattice::Lattice;
 use crate::simd::{Level, Work, dispatch};
 use crate::volume::BitBox;
@@ -47,10 +45,12 @@ struct Join<'a> {
     adjacency: Adjacency,
 }
 
-/// Where the surfel across a side is, for one orientation, side and turn.
+/// Where the surfel across a side is, for one orientation, side and which voxels beside it are inside.
 #[derive(Clone, Copy, Debug, Default)]
 struct Beyond {
     axis: usize,
+    /// Its cell, from the inner voxel.
+    cell: [i32; 3],
     /// Its bit in the index, from the bit that a surfel of its kind would have in the cell of the inner
     /// voxel.
     step: isize,
@@ -73,68 +73,82 @@ impl Work for Join<'_> {
             hi[a] = (cells.hi[a] - 2).min(dims[a] - 1);
         }
         let beyond = self.beyond();
-        let mut turns = [0usize; 4];
-        for (beside, turn) in turns.iter_mut().enumerate() {
-            *turn = match self.adjacency.turn(beside & 1 == 1, beside & 2 == 2) {
-                Turn::Convex => 0,
-                Turn::Flat => 1,
-                Turn::Concave => 2,
-            };
-        }
         let (_, strides) = self.bits.bit(self.bits.lo());
-        let mut of = Vec::with_capacity(self.surfels.list.len());
-        for i in 0..self.surfels.list.len() {
+        let mut steps = [0isize; 6];
+        for (t, step) in steps.iter_mut().enumerate() {
+            *step = sign(t as Direction) as isize * strides[axis(t as Direction)];
+        }
+        let mut of = vec![[Link::BORDER; 4]; self.surfels.list.len()];
+        for (i, links) in of.iter_mut().enumerate() {
             let surfel = self.surfels.oriented(i);
             let p = surfel.inner;
             let mut inner = true;
             for a in 0..3 {
                 inner &= lo[a] <= p[a] && p[a] < hi[a];
             }
-            if !inner {
-                of.push(self.at_the_edge(surfel));
-                continue;
-            }
             let o = surfel.orientation as usize;
-            let along = |t: Direction| sign(t) as isize * strides[axis(t)];
             let (here, _) = self.bits.bit(p);
-            let out = here.wrapping_add_signed(along(surfel.orientation));
-            let bits = [
-                self.index.bit(0, p),
-                self.index.bit(1, p),
-                self.index.bit(2, p),
-            ];
-            let mut links = [Link::BORDER; 4];
-            for j in 0..4 {
-                let step = along(SIDES[o][j]);
+            let out = here.wrapping_add_signed(steps[o]);
+            let across = |j: usize| {
+                let step = steps[SIDES[o][j] as usize];
                 let beside = self.bits.at(here.wrapping_add_signed(step))
                     | self.bits.at(out.wrapping_add_signed(step)) << 1;
-                let beyond = &beyond[o][j][turns[beside]];
-                let bit = bits[beyond.axis].wrapping_add_signed(beyond.step);
-                links[j] = Link(self.index.number(bit) << 2 | beyond.side);
+                &beyond[o][j][beside]
+            };
+            if inner {
+                let bits = [
+                    self.index.bit(0, p),
+                    self.index.bit(1, p),
+                    self.index.bit(2, p),
+                ];
+                for j in 0..4 {
+                    let beyond = across(j);
+                    let bit = bits[beyond.axis].wrapping_add_signed(beyond.step);
+                    links[j] = Link(self.index.number(bit) << 2 | beyond.side);
+                }
+            } else {
+                for j in 0..4 {
+                    let t = SIDES[o][j];
+                    let beside = p[axis(t)] + sign(t);
+                    if !self.lattice.closed && !(0..dims[axis(t)]).contains(&beside) {
+                        continue;
+                    }
+                    let beyond = across(j);
+                    let mut cell = p;
+                    for a in 0..3 {
+                        cell[a] += beyond.cell[a];
+                    }
+                    links[j] = if cells.contains(cell) {
+                        let bit = self.index.bit(beyond.axis, cell);
+                        Link(self.index.number(bit) << 2 | beyond.side)
+                    } else {
+                        Link::BEYOND
+                    };
+                }
             }
-            of.push(links);
         }
         Links { of }
     }
 }
 
 impl Join<'_> {
-    /// By orientation, side and turn (convex, flat, concave).
-    fn beyond(&self) -> [[[Beyond; 3]; 4]; 6] {
-        let mut table = [[[Beyond::default(); 3]; 4]; 6];
+    /// By orientation, side, and whether the voxels beside the inner one (1) and the outer one (2) are inside.
+    fn beyond(&self) -> [[[Beyond; 4]; 4]; 6] {
+        let mut table = [[[Beyond::default(); 4]; 4]; 6];
         for (o, sides) in table.iter_mut().enumerate() {
             let surfel = OrientedSurfel {
                 inner: [0; 3],
                 orientation: o as Direction,
             };
-            for (j, by_turn) in sides.iter_mut().enumerate() {
-                let turns = [Turn::Convex, Turn::Flat, Turn::Concave];
-                for (to, turn) in by_turn.iter_mut().zip(turns) {
+            for (j, by_voxels) in sides.iter_mut().enumerate() {
+                for (beside, to) in by_voxels.iter_mut().enumerate() {
+                    let turn = self.adjacency.turn(beside & 1 == 1, beside & 2 == 2);
                     let (beyond, back) = surfel.across(SIDES[o][j], turn);
                     let axis = axis(beyond.orientation);
                     let (cell, strides) = (beyond.cell(), self.index.strides(axis));
                     *to = Beyond {
                         axis,
+                        cell,
                         step: (0..3).map(|a| cell[a] as isize * strides[a]).sum(),
                         side: u32::from(SIDE_TOWARDS[beyond.orientation as usize][back as usize]),
                     };
@@ -142,41 +156,6 @@ impl Join<'_> {
             }
         }
         table
-    }
-
-    /// The links of a surfel at the edge of the box, or on the border of the image.
-    fn at_the_edge(&self, surfel: OrientedSurfel) -> [Link; 4] {
-        let dims = self.lattice.dims.map(|n| n as i32);
-        let outer = surfel.outer();
-        let mut links = [Link::BORDER; 4];
-        for (j, link) in links.iter_mut().enumerate() {
-            let t: Direction = SIDES[surfel.orientation as usize][j];
-            if !self.lattice.closed {
-                let a = axis(t);
-                let beside = surfel.inner[a] + sign(t);
-                if beside < 0 || beside >= dims[a] {
-                    continue;
-                }
-            }
-            let turn = self.adjacency.turn(
-                self.bits.inside(moved(surfel.inner, t)),
-                self.bits.inside(moved(outer, t)),
-            );
-            let (beyond, back) = surfel.across(t, turn);
-            let cell = beyond.cell();
-            *link = if self.index.cells().contains(cell) {
-                match self.index.find_at(axis(beyond.orientation), cell) {
-                    Some(n) => {
-                        let side = SIDE_TOWARDS[beyond.orientation as usize][back as usize];
-                        Link(n << 2 | u32::from(side))
-                    }
-                    None => unreachable!("a turn leads to a surfel of the same bits"),
-                }
-            } else {
-                Link::BEYOND
-            };
-        }
-        links
     }
 }
 
@@ -226,6 +205,91 @@ impl Links {
         match link.surfel() {
             Some(n) => Ok((n, link.side_there())),
             None => Err(link),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::khalimsky::{SIDE_TOWARDS, moved};
+    use crate::surfel::CellBox;
+    use crate::volume::{PlaneWindow, scattered};
+
+    /// Whether a voxel is inside, and whether it is in the image.
+    fn voxel(window: &PlaneWindow, p: [i32; 3]) -> (bool, bool) {
+        let within = (0..3).all(|a| (0..window.dims[a] as i32).contains(&p[a]));
+        (within && window.inside(p), within)
+    }
+
+    /// The surfels of a box of cells, by definition.
+    fn listed(window: &PlaneWindow, cells: CellBox, closed: bool) -> Vec<OrientedSurfel> {
+        let mut list = Vec::new();
+        let [x, y, z] = [0, 1, 2].map(|a| 2 * cells.lo[a]..2 * cells.hi[a]);
+        for kz in z {
+            for ky in y.clone() {
+                for kx in x.clone() {
+                    let k = [kx, ky, kz];
+                    let even = [0, 1, 2].map(|a| k[a] % 2 == 0);
+                    let Some(along) = even.iter().position(|&e| e) else {
+                        continue;
+                    };
+                    let after = k.map(|k| k.div_euclid(2));
+                    let before = moved(after, 2 * along as Direction + 1);
+                    let [(a, there_a), (b, there_b)] = [after, before].map(|p| voxel(window, p));
+                    let found = a != b && (closed || there_a && there_b);
+                    if even.iter().filter(|&&e| e).count() == 1 && found {
+                        let orientation = 2 * along as Direction + Direction::from(a);
+                        let inner = if a { after } else { before };
+                        list.push(OrientedSurfel { inner, orientation });
+                    }
+                }
+            }
+        }
+        list
+    }
+
+    #[test]
+    fn surfels_and_links_are_those_of_the_definition() {
+        for (seed, dims) in [[70, 5, 4], [3, 9, 6], [130, 2, 3]].into_iter().enumerate() {
+            let window = scattered(dims, seed as u64);
+            for closed in [false, true] {
+                let lattice = Lattice::new(dims.map(u64::from), [1.0; 3], closed).unwrap();
+                let end = lattice.cell_dims();
+                for (lo, hi) in [
+                    ([0; 3], end),
+                    ([1, 1, 1], end.map(|n| n - 1)),
+                    ([end[0] / 2, 0, 1], end),
+                    ([0, 1, 0], [end[0].min(65), end[1], 2]),
+                ] {
+                    let cells = CellBox { lo, hi };
+                    let bits = BitBox::cut(&window, lo.map(|c| c - 1), hi.map(|c| c + 1));
+                    let index = SurfelIndex::find(&bits, cells, &lattice);
+                    let surfels = Surfels::list(&index, &bits);
+                    let list = listed(&window, cells, closed);
+                    let found: Vec<_> = (0..index.len()).map(|i| surfels.oriented(i)).collect();
+                    assert_eq!(found, list, "{dims:?} {closed} {cells:?}");
+                    for adjacency in [Adjacency::Interior, Adjacency::Exterior] {
+                        let links = Links::join(&index, &surfels, &bits, &lattice, adjacency);
+                        for (i, &surfel) in list.iter().enumerate() {
+                            for (j, &t) in SIDES[surfel.orientation as usize].iter().enumerate() {
+                                let [inner, outer] = [surfel.inner, surfel.outer()]
+                                    .map(|p| voxel(&window, moved(p, t)));
+                                let turn = adjacency.turn(inner.0, outer.0);
+                                let (beyond, back) = surfel.across(t, turn);
+                                let side = SIDE_TOWARDS[beyond.orientation as usize][back as usize];
+                                let at = list.iter().position(|&s| s == beyond);
+                                let expected = match at {
+                                    _ if !closed && !inner.1 => Link::BORDER,
+                                    Some(n) => Link((n as u32) << 2 | u32::from(side)),
+                                    None => Link::BEYOND,
+                                };
+                                assert_eq!(links.of[i][j], expected, "{surfel:?} {t}");
+                            }
+                        }
+                    }
+                }
+            }
         }
     }
 }

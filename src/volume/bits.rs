@@ -356,36 +356,32 @@ impl BitBox {
         let words_per_row = (size[0] as usize).div_ceil(64) + 1;
         let mut words = vec![0; words_per_row * (size[1] * size[2]) as usize];
         let across = [lo[0], hi[0] + 63].map(|x| x.max(0) as usize / 64);
-        let base = across[0] as i32;
+        // The word that the first voxel is in, among those asked for, and its bit.
+        let first = lo[0].div_euclid(64) - across[0] as i32;
+        let shift = lo[0].rem_euclid(64) as u32;
+        let (last, room) = (words_per_row - 1, size[0] % 64);
         let mut buffer = Vec::new();
-        for (row, out) in words.chunks_exact_mut(words_per_row).enumerate() {
-            let y = lo[1] + row as i32 % size[1];
-            let z = lo[2] + row as i32 / size[1];
+        let rows = (lo[2]..hi[2]).flat_map(|z| (lo[1]..hi[1]).map(move |y| [y, z]));
+        for ([y, z], out) in rows.zip(words.chunks_exact_mut(words_per_row)) {
             let source = window.span([y, z], across[0]..across[1], &mut buffer);
             if source.is_empty() {
                 continue;
             }
-            let last = words_per_row - 1;
-            for (w, word) in out[..last].iter_mut().enumerate() {
-                let first = lo[0] + 64 * w as i32;
-                let at = first.div_euclid(64);
-                let shift = first.rem_euclid(64) as u32;
-                let fetch = |i: i32| {
-                    usize::try_from(i - base)
-                        .ok()
-                        .and_then(|i| source.get(i))
-                        .copied()
-                        .unwrap_or(0)
-                };
-                let mut value = fetch(at) >> shift;
-                if shift != 0 {
-                    value |= fetch(at + 1) << (64 - shift);
-                }
-                let room = size[0] - 64 * w as i32;
-                if room < 64 {
-                    value &= (1 << room) - 1;
-                }
-                *word = value;
+            let mut next = first;
+            let mut fetch = || {
+                let word = usize::try_from(next).ok().and_then(|i| source.get(i));
+                next += 1;
+                word.copied().unwrap_or(0)
+            };
+            let mut low = fetch();
+            for word in &mut out[..last] {
+                let high = fetch();
+                // shifting twice makes a shift of 0 take nothing from the next word
+                *word = low >> shift | (high << 1) << (63 - shift);
+                low = high;
+            }
+            if room > 0 {
+                out[last - 1] &= (1 << room) - 1;
             }
         }
         Self {
@@ -454,8 +450,28 @@ impl BitBox {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
+
+    /// Voxels half of which are inside, as they fall.
+    pub(crate) fn scattered(dims: [u32; 3], mut seed: u64) -> PlaneWindow {
+        let planes = (0..dims[2]).map(|_| {
+            let mut plane = BitPlane::outside(dims[0], dims[1]);
+            for row in plane.rows_mut() {
+                for x in 0..dims[0] as usize {
+                    seed =
+                        (seed.wrapping_mul(6364136223846793005)).wrapping_add(1442695040888963407);
+                    row[x / 64] |= (seed >> 63) << (x % 64);
+                }
+            }
+            Arc::new(plane)
+        });
+        PlaneWindow {
+            dims,
+            z0: 0,
+            planes: planes.collect(),
+        }
+    }
 
     #[test]
     fn a_box_holds_the_voxels_of_the_window_and_zeros_around() {

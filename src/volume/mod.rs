@@ -17,6 +17,8 @@ pub mod otsu;
 mod squares;
 mod tiles;
 
+#[cfg(test)]
+pub(crate) use bits::tests::scattered;
 pub use bits::{BitBox, BitPlane, PlaneWindow};
 pub use criterion::{Binarizer, Criterion, CriterionError, Number};
 pub use euler::SolidCounts;
