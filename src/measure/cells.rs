@@ -5,7 +5,7 @@
 //! those that share it. [`CellTotals`] are exact integers, each cell counted by its owner. They are made by
 //! [`super::constant`] or [`super::continuous`], as the field of normals is.
 
-use crate::surfel::{CellBox, Link};
+use crate::surfel::{CellBox, Link, Links};
 
 use super::field::Field;
 use super::fixed;
@@ -182,13 +182,23 @@ pub(super) struct Numbers {
 
 impl Numbers {
     pub(super) fn of(surface: &Surface, core: CellBox) -> Self {
-        let mut of = vec![RIM; surface.len()];
+        let surfels = &surface.surfels;
+        // Khalimsky coordinates of the core, as those of surfels are kept.
+        let (mut lo, mut hi) = ([0; 3], [0; 3]);
+        for a in 0..3 {
+            lo[a] = 2 * core.lo[a] - surfels.k0[a];
+            hi[a] = 2 * core.hi[a] - surfels.k0[a];
+        }
+        let mut of = Vec::with_capacity(surface.len());
         let mut count = 0;
-        for (i, number) in of.iter_mut().enumerate() {
-            if core.contains(surface.surfels.oriented(i).cell()) {
-                *number = count;
-                count += 1;
+        for surfel in &surfels.list {
+            let mut within = true;
+            for a in 0..3 {
+                let k = i32::from(surfel.k[a]);
+                within &= (lo[a] <= k) & (k < hi[a]);
             }
+            of.push(if within { count } else { RIM });
+            count += u32::from(within);
         }
         Self {
             of,
@@ -197,53 +207,80 @@ impl Numbers {
     }
 }
 
-/// Marks the surfels of the core around a pointel as near a cut if one of all is cut.
-pub(super) fn spread_cut(members: &[usize], marks: &[u8], core: &Numbers, core_marks: &mut [u8]) {
-    if members.iter().any(|&m| marks[m] & mark::CUT != 0) {
-        for &m in members {
-            if core.of[m] != RIM {
-                core_marks[core.of[m] as usize] |= mark::NEAR_CUT;
-            }
+/// Marks the surfels of the core around a pointel as near a cut.
+pub(super) fn spread_cut(corners: &[u32], core: &Numbers, core_marks: &mut [u8]) {
+    for &corner in corners {
+        let number = core.of[corner as usize / 4];
+        if number != RIM {
+            core_marks[number as usize] |= mark::NEAR_CUT;
         }
     }
 }
 
 /// What is found around a pointel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Around {
-    /// An umbrella; its surfels are listed counter-clockwise from the one asked.
+    /// An umbrella; its corners are listed counter-clockwise from the one asked.
     Cycle,
-    /// A chain that ends on the border of an open image.
+    /// A chain that ends on the border of an open image; its corners are listed counter-clockwise from the one
+    /// asked, then clockwise from the one before it.
     Chain,
-    /// Another surfel of it has a lower number.
-    NotLowest,
-    /// It leaves the box.
-    Beyond,
+    /// Found before, or it leaves the box.
+    Nothing,
 }
 
-/// Lists the surfels around corner `j` of surfel `i`, if `i` is the lowest of them.
-pub(super) fn umbrella(surface: &Surface, i: usize, j: usize, members: &mut Vec<usize>) -> Around {
-    members.clear();
-    let (mut at, mut corner) = (i, j);
-    loop {
-        members.push(at);
-        match surface.links.next_corner(at, corner) {
-            Ok((n, _)) if n < i => return Around::NotLowest,
-            Ok((n, c)) if n == i && c == j => return Around::Cycle,
-            Ok((n, c)) => (at, corner) = (n, c),
-            Err(Link::BORDER) => break,
-            Err(_) => return Around::Beyond,
+/// The umbrellas and chains of a surface. If corners are asked in order, each is found once, from the
+/// lowest of its surfels.
+pub(super) struct Umbrellas<'a> {
+    links: &'a Links,
+    /// Corners that were passed.
+    seen: Vec<[bool; 4]>,
+    /// Corners of what was found last; corner `j` of surfel `i` is `4 i + j`.
+    pub(super) corners: Vec<u32>,
+}
+
+impl<'a> Umbrellas<'a> {
+    pub(super) fn of(surface: &'a Surface) -> Self {
+        Self {
+            links: &surface.links,
+            seen: vec![[false; 4]; surface.len()],
+            corners: Vec::with_capacity(8),
         }
     }
-    (at, corner) = (i, j);
-    loop {
-        match surface.links.previous_corner(at, corner) {
-            Ok((n, _)) if n < i => return Around::NotLowest,
-            Ok((n, c)) => {
-                members.push(n);
-                (at, corner) = (n, c);
-            }
-            Err(Link::BORDER) => return Around::Chain,
-            Err(_) => return Around::Beyond,
+
+    /// Lists the corners around corner `j` of surfel `i`.
+    #[inline(always)]
+    pub(super) fn find(&mut self, i: usize, j: usize) -> Around {
+        if self.seen[i][j] {
+            return Around::Nothing;
         }
+        self.corners.clear();
+        let (mut at, mut corner) = (i, j);
+        loop {
+            self.pass(at, corner);
+            match self.links.next_corner(at, corner) {
+                Ok(next) if next == (i, j) => return Around::Cycle,
+                // it was found to leave the box, from another corner
+                Ok((n, c)) if self.seen[n][c] => return Around::Nothing,
+                Ok(next) => (at, corner) = next,
+                Err(Link::BORDER) => break,
+                Err(_) => return Around::Nothing,
+            }
+        }
+        (at, corner) = (i, j);
+        loop {
+            match self.links.previous_corner(at, corner) {
+                Ok(before) => (at, corner) = before,
+                Err(Link::BORDER) => return Around::Chain,
+                Err(_) => return Around::Nothing,
+            }
+            self.pass(at, corner);
+        }
+    }
+
+    #[inline(always)]
+    fn pass(&mut self, at: usize, corner: usize) {
+        self.seen[at][corner] = true;
+        self.corners.push((4 * at + corner) as u32);
     }
 }

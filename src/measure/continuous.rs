@@ -48,7 +48,7 @@ use crate::normal::trivial_normal;
 use crate::surfel::{CellBox, Link};
 
 use super::cells::{
-    Around, Asked, CellMeasures, CellTotals, Lumped, Numbers, RIM, mark, spread_cut, umbrella,
+    Around, Asked, CellMeasures, CellTotals, Lumped, Numbers, RIM, Umbrellas, mark, spread_cut,
 };
 use super::field::Field;
 use super::fixed;
@@ -199,17 +199,23 @@ fn pointels(
         at: vec![[u32::MAX; 4]; count],
         fans: vec![[0; 4]; count],
     };
-    let mut members = Vec::with_capacity(8);
+    let mut umbrellas = Umbrellas::of(surface);
+    let mut members: Vec<usize> = Vec::with_capacity(8);
     for i in 0..count {
         for j in 0..4 {
-            let around = umbrella(surface, i, j, &mut members);
-            if matches!(around, Around::NotLowest | Around::Beyond)
-                || members.iter().all(|&m| core.of[m] == RIM)
-            {
+            let around = umbrellas.find(i, j);
+            if around == Around::Nothing {
+                continue;
+            }
+            members.clear();
+            members.extend(umbrellas.corners.iter().map(|&c| c as usize / 4));
+            if members.iter().all(|&m| core.of[m] == RIM) {
                 continue;
             }
             totals.pointels += u64::from(core.of[i] != RIM);
-            spread_cut(&members, marks, core, core_marks);
+            if members.iter().any(|&m| marks[m] & mark::CUT != 0) {
+                spread_cut(&umbrellas.corners, core, core_marks);
+            }
             let sum: DVec3 = members.iter().map(|&m| u[m]).sum();
             let trivial = || -> DVec3 {
                 let normals = members.iter().map(|&m| trivial_normal(orientation(m)));

@@ -1,6 +1,6 @@
 //! The measures of a brick's core and halo, in the form the sums over balls read.
 
-use super::cells::{Around, CellMeasures, Lumped, Tensor, umbrella};
+use super::cells::{Around, CellMeasures, Lumped, Tensor, Umbrellas};
 use super::surface::Surface;
 
 /// Measures of all surfels of a [`Surface`], in the form the sums read.
@@ -63,7 +63,7 @@ impl LocalCells {
         let mut linel_of = vec![[NONE; 4]; count];
         let mut umbrella_of = vec![[NONE; 4]; count];
         let mut degree = vec![0; gathered.umbrellas.len()];
-        let mut members = Vec::with_capacity(8);
+        let mut umbrellas = Umbrellas::of(surface);
         for i in 0..count {
             let [mut linel, mut pointel] = gathered.owned_from[i];
             let end = gathered.owned_from[i + 1];
@@ -79,17 +79,13 @@ impl LocalCells {
                     }
                     _ => {}
                 }
-                if let Around::Cycle = umbrella(surface, i, j, &mut members) {
+                if umbrellas.find(i, j) == Around::Cycle {
                     if pointel == end[1] {
                         continue;
                     }
-                    degree[pointel as usize] = members.len() as u8;
-                    let (mut at, mut corner) = (i, j);
-                    for _ in 0..members.len() {
-                        umbrella_of[at][corner] = pointel;
-                        if let Ok(next) = surface.links.next_corner(at, corner) {
-                            (at, corner) = next;
-                        }
+                    degree[pointel as usize] = umbrellas.corners.len() as u8;
+                    for &corner in &umbrellas.corners {
+                        umbrella_of[corner as usize / 4][corner as usize % 4] = pointel;
                     }
                     pointel += 1;
                 }

@@ -23,6 +23,7 @@ pub mod field;
 pub mod fixed;
 pub mod formula;
 mod grouped;
+mod linels;
 mod local;
 pub mod patch;
 pub mod surface;

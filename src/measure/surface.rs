@@ -1,6 +1,6 @@
 //! The surface of a box of cells, ready for measures: surfels, links, bits.
 
-use crate::khalimsky::{Adjacency, axis};
+use crate::khalimsky::{Adjacency, Direction, opposite};
 use crate::lattice::Lattice;
 use crate::surfel::{CellBox, Links, SurfelIndex, Surfels};
 use crate::volume::{BitBox, PlaneWindow};
@@ -42,16 +42,14 @@ impl Surface {
     #[inline]
     #[must_use]
     pub fn is_ridge(&self, i: usize) -> bool {
+        // Opposite to nothing.
+        const NONE: Direction = 64;
         let links = &self.links.of[i];
-        (0..2).any(
-            |side| match (links[side].surfel(), links[side + 2].surfel()) {
-                (Some(a), Some(b)) => {
-                    let [a, b] = [a, b].map(|n| self.surfels.list[n].orientation);
-                    a != b && axis(a) == axis(b)
-                }
-                _ => false,
-            },
-        )
+        let across = |side: usize| {
+            let n = links[side].surfel();
+            n.map_or(NONE, |n| self.surfels.list[n].orientation)
+        };
+        (across(0) == opposite(across(2))) | (across(1) == opposite(across(3)))
     }
 
     /// Number of surfels.
