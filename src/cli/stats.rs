@@ -256,12 +256,13 @@ impl RunStats {
             let (planned, most) = (sizes::show(planned), sizes::show(most));
             writeln!(out, "{name:<12} {planned:>12} {most:>12}   {note}")
         };
-        line(
-            "bits, index",
-            self.plan.bits_bytes,
-            memory.bits_bytes,
-            String::new(),
-        )?;
+        let note = if memory.bits_bytes > self.plan.bits_bytes {
+            "with what high slabs take of the surfels' memory"
+        } else {
+            ""
+        };
+        let note = note.to_owned();
+        line("bits, index", self.plan.bits_bytes, memory.bits_bytes, note)?;
         let flying = sizes::count(memory.surfel_bytes / each.max(1));
         line(
             "surfels",

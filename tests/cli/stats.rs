@@ -54,11 +54,15 @@ fn stats_tell_of_every_stage_and_their_numbers_add_up() {
     let part = std::fs::metadata(place.path("out/surfels/part-00000.parquet")).unwrap();
     assert_eq!(sinks[1]["bytes"], part.len());
     let memory = &stats["memory"];
+    // High slabs take memory that surfels leave, so only the sums compare.
+    let [mut most, mut planned] = [0.0; 2];
     for what in ["bits", "surfel"] {
-        let most = number(&memory[format!("most_{what}_bytes")]);
-        let planned = number(&memory[format!("planned_{what}_bytes")]);
-        assert!(0.0 < most && most <= planned, "{what} {memory}");
+        let of_this = number(&memory[format!("most_{what}_bytes")]);
+        assert!(of_this > 0.0, "{what} {memory}");
+        most += of_this;
+        planned += number(&memory[format!("planned_{what}_bytes")]);
     }
+    assert!(most <= planned, "{memory}");
     // Every surfel of so small a volume is in flight at once.
     assert_eq!(
         memory["most_surfel_bytes"].as_u64().unwrap(),
