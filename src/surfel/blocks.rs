@@ -15,7 +15,7 @@ use super::links::{Link, Links};
 use crate::simd::LANES;
 
 /// Edge of a block in cells.
-const EDGE: i32 = 4;
+pub(super) const EDGE: i32 = 4;
 
 /// No place.
 pub(super) const NONE: u32 = u32::MAX;
@@ -53,12 +53,9 @@ pub struct Blocks {
     place: Vec<u32>,
     /// What loops over vectors read, sixteen places at a time.
     pub(super) chunks: Vec<Chunk>,
-    /// The places across the sides, by side; [`NONE`] where there is none.
+    /// The places across the sides, by side; [`NONE`] where there is none. Filled up to whole chunks.
     pub(super) across: [Vec<u32>; 4],
     pub(super) components: Vec<Component>,
-    /// For each place, those of lower places across its sides: from the end of the place before to its own.
-    earlier: Vec<u32>,
-    earlier_to: Vec<u32>,
     /// A side is on the border of an open image.
     pub(super) open: Vec<bool>,
 }
@@ -105,7 +102,7 @@ impl Blocks {
     fn describe(&mut self, surfels: &Surfels, links: &Links) {
         let count = self.surfel.len();
         for side in &mut self.across {
-            *side = Vec::with_capacity(count);
+            *side = Vec::with_capacity(count.next_multiple_of(LANES));
         }
         self.open = Vec::with_capacity(count);
         self.chunks = Vec::with_capacity(count.div_ceil(LANES));
@@ -138,23 +135,22 @@ impl Blocks {
             }
             self.chunks.push(chunk);
         }
+        for side in &mut self.across {
+            side.resize(count.next_multiple_of(LANES), NONE);
+        }
     }
 
     /// Finds the components.
     fn join(&mut self, links: &Links) {
         let count = self.surfel.len();
         let mut parent: Vec<u32> = (0..count as u32).collect();
-        self.earlier = Vec::with_capacity(2 * count);
-        self.earlier_to = Vec::with_capacity(count);
         for place in 0..count {
             for side in &self.across {
                 let other = side[place];
                 if other < place as u32 {
-                    self.earlier.push(other);
                     unite(&mut parent, place as u32, other);
                 }
             }
-            self.earlier_to.push(self.earlier.len() as u32);
         }
         for place in 0..count as u32 {
             let root = find(&mut parent, place);
@@ -210,17 +206,6 @@ impl Blocks {
     pub(crate) fn k_at(&self, place: usize) -> [i16; 3] {
         let (chunk, lane) = (&self.chunks[place / LANES], place % LANES);
         [chunk.k[0][lane], chunk.k[1][lane], chunk.k[2][lane]]
-    }
-
-    /// The places across the sides of a place that are lower than it.
-    #[inline]
-    pub(super) fn earlier(&self, place: usize) -> &[u32] {
-        let from = if place == 0 {
-            0
-        } else {
-            self.earlier_to[place - 1]
-        };
-        &self.earlier[from as usize..self.earlier_to[place] as usize]
     }
 
     /// The component of a place.

@@ -13,11 +13,14 @@
 //! a path through W(p) to something nearer, or that there is none, and then all that it saw is *excluded*: pieces
 //! of bumps at the rim of the ball, say.
 //!
-//! **With labels.** Where a search is too short for some member, candidates are labelled by the surfel of the hub
-//! that they descend to, and labels are joined across linels between surfels that are in the balls of all
-//! members (the *core*). What is then left between different labels are *edges*: pairs of
-//! neighbours that count for a member if both are in its ball. So each member joins a handful of labels instead of
-//! walking over its ball. Candidates whose labels no member can reach are *apart*: with those of other components, they only tell that there
+//! **With labels.** Where searches are too short for some member, or there are too many, candidates are labelled by the
+//! surfel that they descend to. For labels, surfels that are in the balls of all members (the *core*) also descend to neighbours
+//! that are less far from the box around the members, which are in the core too. Labels are joined across linels between surfels of the
+//! core. What is then left between different labels are *edges*: pairs of
+//! neighbours that count for a member if both are in its ball. Those where what both descend to are neighbours
+//! as well are not needed. So each member joins a handful of labels instead of
+//! walking over its ball. Labels that are connected to the same members are one *class*. Candidates whose labels are
+//! connected to no member are *apart*: with those of other components, they only tell that there
 //! are several sheets.
 //!
 //! Guaranteed: the same sets as [`super::Walker`] finds, exactly. Decisions that are not in integers (voxels
@@ -42,6 +45,10 @@ use super::walk::{Rim, displacement};
 
 /// Surfels that a search for a path looks at, at most.
 const SEARCHED: usize = 48;
+
+/// Surfels that all searches for a group look at, at most, for each candidate. With fewer, groups are labelled that a
+/// few more searches would do for; with more, searches cost more than labels.
+const SEARCHED_EACH: usize = 3;
 
 /// Surfels of a ball that are excluded one by one, at most; with more, labels are quicker.
 const MOST_EXCLUDED: usize = 256;
@@ -102,9 +109,8 @@ pub(crate) struct Vicinity<'a, const LISTS: usize> {
     apart: Candidates,
     hub: Hub,
     runs: Vec<Range<usize>>,
-    /// For each member, whether it is known without labels what is connected to it; ends with the first for which
-    /// it is not. Once there are labels, whether they are not needed for it.
-    passed: Vec<bool>,
+    /// Whether it is known without labels what is connected to each member.
+    passed: bool,
     /// Places of surfels in the ball of a member that are not connected to it, member by member.
     excluded: Vec<u32>,
     excluded_to: Vec<u32>,
@@ -190,7 +196,7 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
             apart: Candidates::default(),
             hub: Hub::default(),
             runs: Vec::new(),
-            passed: Vec::new(),
+            passed: false,
             excluded: Vec::new(),
             excluded_to: Vec::new(),
             labels: None,
@@ -274,47 +280,26 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
         for number in run.start / LANES..run.end.div_ceil(LANES) {
             let chunk = &blocks.chunks[number];
             let from = number * LANES;
-            let mut nearest = zero;
-            let mut scaled = [zero; 3];
-            let mut k = [zero; 3];
-            for a in 0..3 {
-                let at = L::load_i16(&chunk.k[a]);
-                let d = L::sub(at, L::all(self.middle[a]));
-                let size = L::max(d, L::sub(zero, d));
-                let beyond = L::max(L::sub(size, L::all(self.half[a])), zero);
-                let square = L::all(self.squares[a]);
-                nearest = L::add(nearest, L::mul(square, L::mul(beyond, beyond)));
-                scaled[a] = L::mul(square, d);
-                k[a] = L::sub(at, L::all(self.origin[a] as f32));
-            }
-            let mut kept = L::bits(L::at_most(nearest, limit));
-            if from < run.start {
-                kept &= u16::MAX << (run.start - from);
-            }
-            if run.end < from + LANES {
-                kept &= (1 << (run.end - from)) - 1;
-            }
+            let (nearest, scaled) = self.from_members::<L>(chunk);
+            let mut kept = L::bits(L::at_most(nearest, limit)) & lanes_of(&run, from);
             if kept == 0 {
                 continue;
             }
+            let mut k = [zero; 3];
+            for a in 0..3 {
+                k[a] = L::sub(L::load_i16(&chunk.k[a]), L::all(self.origin[a] as f32));
+            }
             let same = L::bits(L::equal(&chunk.component, component));
-            let mut apart = kept & !same;
-            while apart != 0 {
-                let place = from + apart.trailing_zeros() as usize;
-                apart &= apart - 1;
-                let k = self.relative(place);
-                self.apart.push(k, place as u32, tags[place]);
+            let tags = sixteen(tags, from);
+            let apart = kept & !same;
+            if apart != 0 {
+                self.apart.make_room(LANES);
+                self.apart.take::<L>(k, from, tags, apart);
             }
             kept &= same;
-            // 2 (q - c).s + 2 half.|s| + |s|^2 < 0 for a step s that leads nearer to all points of the box
             let mut lowest = zero;
-            for step in &chunk.steps {
-                let step = [
-                    L::load_i8(&step[0]),
-                    L::load_i8(&step[1]),
-                    L::load_i8(&step[2]),
-                ];
-                lowest = L::min(dot::<L>(step, scaled), lowest);
+            for change in changes::<L>(chunk, scaled) {
+                lowest = L::min(change, lowest);
             }
             let mut hub = kept & L::bits(L::at_most(descent, lowest));
             while hub != 0 {
@@ -322,7 +307,6 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
                 hub &= hub - 1;
                 self.push_hub(chunk, lane, from + lane);
             }
-            let tags = sixteen(tags, from);
             match sort {
                 Sort::Near(_) => {
                     let near = L::bits(L::at_most(nearest, near));
@@ -338,6 +322,24 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
                 }
             }
         }
+    }
+
+    /// Squared distances of a chunk from the box around the members, and displacements from its middle times the squared
+    /// edges of a voxel.
+    #[inline(always)]
+    fn from_members<L: Level>(&self, chunk: &Chunk) -> (L::F, [L::F; 3]) {
+        let zero = L::all(0.0);
+        let mut nearest = zero;
+        let mut scaled = [zero; 3];
+        for a in 0..3 {
+            let d = L::sub(L::load_i16(&chunk.k[a]), L::all(self.middle[a]));
+            let size = L::max(d, L::sub(zero, d));
+            let beyond = L::max(L::sub(size, L::all(self.half[a])), zero);
+            let square = L::all(self.squares[a]);
+            nearest = L::add(nearest, L::mul(square, L::mul(beyond, beyond)));
+            scaled[a] = L::mul(square, d);
+        }
+        (nearest, scaled)
     }
 
     fn push_hub(&mut self, chunk: &Chunk, lane: usize, place: usize) {
@@ -371,10 +373,21 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
         }
     }
 
+    /// Surfels that searches for a group look at, at most.
+    fn most_work(&self) -> usize {
+        let mut candidates = 0;
+        for list in &self.lists {
+            candidates += list.len;
+        }
+        SEARCHED_EACH * candidates
+    }
+
     /// Whether each member is sure to be connected to all candidates in its ball.
     #[inline(always)]
     fn pass_members<L: Level>(&mut self) {
-        self.passed.clear();
+        self.passed = true;
+        let mut searched = 0;
+        let most = self.most_work();
         self.excluded.clear();
         self.excluded_to.clear();
         let n = self.hub.len.next_multiple_of(LANES);
@@ -430,7 +443,9 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
                     if self.excluded[first..].contains(&place) {
                         continue;
                     }
-                    match self.search(place, self.members[number]) {
+                    let found = self.search(place, self.members[number], &mut searched);
+                    known = searched <= most;
+                    match found {
                         Search::Nearer => {}
                         Search::Separate(places, count) => {
                             self.excluded.extend_from_slice(&places[..count]);
@@ -440,18 +455,21 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
                     known &= self.excluded.len() - first <= MOST_EXCLUDED;
                 }
             }
-            self.passed.push(known);
             self.excluded_to.push(self.excluded.len() as u32);
             if !known {
                 // Labels are needed, and answer for all.
+                self.passed = false;
+                self.excluded.clear();
+                self.excluded_to.clear();
                 break;
             }
         }
     }
 
     /// Looks for a path from a surfel, through others in the ball of a member, to one that is nearer to the member. Where
-    /// there is none, all that is connected to the surfel was seen, and is not connected to the member.
-    fn search(&self, from: u32, member: u32) -> Search {
+    /// there is none, all that is connected to the surfel was seen, and is not connected to the member. Adds to
+    /// `searched` how many it looked at.
+    fn search(&self, from: u32, member: u32, searched: &mut usize) -> Search {
         let centre = self.blocks.k_at(member as usize);
         let squared = |place: u32| {
             let d = displacement(self.blocks.k_at(place as usize), centre);
@@ -465,6 +483,7 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
         let mut seen = [from; SEARCHED];
         let (mut next, mut end) = (0, 1);
         while next < end {
+            *searched += 1;
             for side in &self.blocks.across {
                 let place = side[seen[next] as usize];
                 if place == NONE || seen[..end].contains(&place) {
@@ -566,4 +585,34 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
             open,
         }
     }
+}
+
+/// Half of what the steps across the sides of a chunk change of the squared distance from the middle of the members,
+/// but for the squares of the steps: 2 (q - c).s + 2 half.|s| + |s|^2 < 0 for a step s that leads nearer to all points
+/// of the box, which is so if (q - c).s is below what the steepest step asks for.
+#[inline(always)]
+fn changes<L: Level>(chunk: &Chunk, scaled: [L::F; 3]) -> [L::F; 4] {
+    let mut changes = [L::all(0.0); 4];
+    for (change, step) in changes.iter_mut().zip(&chunk.steps) {
+        let step = [
+            L::load_i8(&step[0]),
+            L::load_i8(&step[1]),
+            L::load_i8(&step[2]),
+        ];
+        *change = dot::<L>(step, scaled);
+    }
+    changes
+}
+
+/// Which of the sixteen places from `from` on are of a run.
+#[inline(always)]
+fn lanes_of(run: &Range<usize>, from: usize) -> u16 {
+    let mut lanes = u16::MAX;
+    if from < run.start {
+        lanes &= u16::MAX << (run.start - from);
+    }
+    if run.end < from + LANES {
+        lanes &= (1 << (run.end - from)) - 1;
+    }
+    lanes
 }

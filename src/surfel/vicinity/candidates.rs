@@ -76,29 +76,69 @@ impl Candidates {
         if chosen == 0 {
             return;
         }
-        let mut places = [0; LANES];
-        for (i, place) in places.iter_mut().enumerate() {
-            *place = from as u32 + i as u32;
-        }
+        self.append::<L>(k, &sixteen_from(from), tags, chosen);
+    }
+
+    /// Adds those chosen of sixteen candidates. There must be room for sixteen.
+    #[inline(always)]
+    fn append<L: Level>(
+        &mut self,
+        k: [L::F; 3],
+        places: &[u32; LANES],
+        tags: &[u32; LANES],
+        chosen: u16,
+    ) {
         let mask = L::from_bits(chosen);
         let at = self.len;
         L::compress(k[0], mask, sixteen_mut(&mut self.x, at));
         L::compress(k[1], mask, sixteen_mut(&mut self.y, at));
         L::compress(k[2], mask, sixteen_mut(&mut self.z, at));
-        L::compress_u32(&places, mask, sixteen_mut(&mut self.place, at));
+        L::compress_u32(places, mask, sixteen_mut(&mut self.place, at));
         L::compress_u32(tags, mask, sixteen_mut(&mut self.tag, at));
         self.has_tags |= L::bits(L::equal(tags, 0)) & chosen != chosen;
         self.len += chosen.count_ones() as usize;
     }
 
-    pub(crate) fn push(&mut self, k: [f32; 3], place: u32, tag: u32) {
-        self.push_labelled(k, place, tag, 0);
+    /// Adds those chosen of sixteen candidates of a list from `at` on, with their labels.
+    #[inline(always)]
+    pub(super) fn move_from<L: Level>(
+        &mut self,
+        list: &Self,
+        at: usize,
+        labels: &[u32; LANES],
+        chosen: u16,
+    ) {
+        if chosen == 0 {
+            return;
+        }
+        self.make_room(LANES);
+        let mask = L::from_bits(chosen);
+        L::compress_u32(labels, mask, sixteen_mut(&mut self.label, self.len));
+        let k = [
+            L::load(sixteen(&list.x, at)),
+            L::load(sixteen(&list.y, at)),
+            L::load(sixteen(&list.z, at)),
+        ];
+        let (places, tags) = (sixteen(&list.place, at), sixteen(&list.tag, at));
+        self.append::<L>(k, places, tags, chosen);
     }
 
-    pub(super) fn push_labelled(&mut self, k: [f32; 3], place: u32, tag: u32, label: u32) {
+    /// Adds those chosen of its own candidates, sixteen from `at` on, after it was cut to less than `at`: what
+    /// follows is overwritten.
+    #[inline(always)]
+    pub(super) fn keep<L: Level>(&mut self, at: usize, chosen: u16) {
+        let k = [
+            L::load(sixteen(&self.x, at)),
+            L::load(sixteen(&self.y, at)),
+            L::load(sixteen(&self.z, at)),
+        ];
+        let (places, tags) = (*sixteen(&self.place, at), *sixteen(&self.tag, at));
+        self.append::<L>(k, &places, &tags, chosen);
+    }
+
+    pub(crate) fn push(&mut self, k: [f32; 3], place: u32, tag: u32) {
         self.make_room(1);
         self.set(self.len, k, place, tag);
-        self.label[self.len] = label;
         self.has_tags |= tag != 0;
         self.len += 1;
     }
@@ -136,9 +176,20 @@ impl Candidates {
         ])
     }
 
+    #[cfg(test)]
     pub(super) fn k(&self, at: usize) -> [f32; 3] {
         [self.x[at], self.y[at], self.z[at]]
     }
+}
+
+/// Sixteen numbers from one on.
+#[inline(always)]
+pub(super) fn sixteen_from(first: usize) -> [u32; LANES] {
+    let mut numbers = [0; LANES];
+    for i in 0..LANES {
+        numbers[i] = first as u32 + i as u32;
+    }
+    numbers
 }
 
 /// Sixteen numbers of a list.

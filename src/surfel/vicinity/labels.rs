@@ -1,355 +1,577 @@
 //! Labels of candidates, where searches do not tell what is connected to the members of a group; see [`super`].
+//!
+//! All but a few candidates are met only in loops that do not branch: what each descends to is written down by vectors, in an
+//! array by place, and replaced by what that descends to until it is the number of a surfel of the hub; then each is compared with
+//! its neighbours. What has branches are pairs of different numbers, which lie along a few lines.
 
-use crate::simd::{LANES, Level, dot};
+use crate::simd::{LANES, Level};
 
-use super::super::blocks::{NONE, find, unite};
+use super::super::blocks::{Chunk, EDGE, NONE, find, unite};
 use super::super::squares::Squares;
 use super::Vicinity;
-use super::candidates::{NOWHERE, sixteen, sixteen_mut};
+use super::candidates::{NOWHERE, sixteen, sixteen_from, sixteen_mut};
+use super::{changes, lanes_of};
 
-/// No side leads nearer to all members.
-const NO_SIDE: u8 = 4;
+/// In [`Labelling::lower`] and [`Labelling::hub`], numbers of the hub are from here on.
+const HUB: u32 = 1 << 31;
+
+/// Members of a group, at most: surfels of a block of cells.
+const MOST_MEMBERS: usize = 3 * (EDGE * EDGE * EDGE) as usize;
+
+/// For each member a bit: whether a label is connected to it.
+type Column = [u64; MOST_MEMBERS.div_ceil(64)];
 
 /// Pairs of neighbours of different labels.
 #[derive(Clone, Debug, Default)]
 struct Edges {
-    labels: Vec<[u32; 2]>,
+    len: usize,
+    /// Labels of both, padded.
+    labels: [Vec<u32>; 2],
     /// Coordinates of both, padded.
     k: [[Vec<f32>; 3]; 2],
+    /// For each edge, which of its sixteen have the same labels.
+    same: Vec<u16>,
 }
 
 /// Scratch memory of labelling.
 #[derive(Debug, Default)]
 pub(super) struct Labelling {
-    /// By place, the side that leads nearer to all members, or [`NO_SIDE`] and above.
-    sides: Vec<u8>,
-    /// By candidate, numbered through the padded lists: its place or [`NONE`].
+    /// By place, for candidates the neighbour that they descend to, or [`HUB`] and a number of the hub.
+    lower: Vec<u32>,
+    /// By place, for candidates [`HUB`] and the number of the hub that they end at; else [`NONE`]. There are
+    /// more than places, so that the last is of none. Between groups all are [`NONE`].
+    hub: Vec<u32>,
+    /// Places of the candidates, in their order.
     places: Vec<u32>,
+    /// Joins what is joined within the balls of all members, by number of the hub.
     parent: Vec<u32>,
-    root: Vec<u32>,
-    /// Which are in the balls of all members, sixteen a number.
-    core: Vec<u16>,
+    /// By number of the hub: the label, [`NONE`] if no member reaches it; later, the class of it.
     label: Vec<u32>,
-    counts: Vec<u32>,
-    /// Neighbours of different roots that are not both in the core.
+    /// Neighbours of different labels that are not both in the core.
     pending: Vec<[u32; 2]>,
     edges: Edges,
     /// Labels of the members.
     of_members: Vec<u32>,
     joined: Vec<u32>,
-    /// The candidate at each place, else [`NONE`].
-    slots: Vec<u32>,
-    /// By old label, the new one.
-    renamed: Vec<u32>,
+    /// By label, which members are connected to it.
+    columns: Vec<Column>,
+    /// By label, what it is named at last.
+    class: Vec<u32>,
+    /// Labels that are connected to some members but not to all.
+    mixed: Vec<u32>,
+    /// The columns of the classes.
+    classes: Vec<Column>,
+}
+
+impl Edges {
+    fn clear(&mut self) {
+        self.len = 0;
+        for list in &mut self.labels {
+            list.clear();
+        }
+        for list in self.k.iter_mut().flatten() {
+            list.clear();
+        }
+    }
+
+    /// Fills up to whole vectors, and finds which have the same labels.
+    #[inline(always)]
+    fn pad<L: Level>(&mut self) {
+        let end = self.len.next_multiple_of(LANES);
+        for list in &mut self.labels {
+            list.resize(end, NONE);
+        }
+        for list in self.k.iter_mut().flatten() {
+            list.resize(end, NOWHERE);
+        }
+        self.same.clear();
+        for from in (0..end).step_by(LANES) {
+            let (first, second) = (
+                sixteen(&self.labels[0], from),
+                sixteen(&self.labels[1], from),
+            );
+            for i in 0..LANES {
+                let same = L::and(L::equal(first, first[i]), L::equal(second, second[i]));
+                self.same.push(L::bits(same));
+            }
+        }
+    }
 }
 
 impl<const LISTS: usize> Vicinity<'_, LISTS> {
     /// Labels the candidates if that is needed to tell which are connected to the members. `squares` are those of the ball.
     #[inline(always)]
     pub(crate) fn connect<L: Level, S: Squares>(&mut self, squares: S) {
-        if self.passed.last() == Some(&true) {
+        if self.passed {
             return;
         }
-        // Which of those that passed had something excluded?
-        let mut from = 0;
-        for (passed, &to) in self.passed.iter_mut().zip(&self.excluded_to) {
-            *passed &= to == from;
-            from = to;
-        }
-        self.passed.resize(self.members.len(), false);
-        self.excluded.clear();
-        self.excluded_to.clear();
         self.descend::<L>();
-        self.find_core::<L>();
-        self.label();
-        let Some(labels) = self.labels else {
-            return;
-        };
-        self.alive.clear();
-        self.alive.resize(self.members.len() * labels, 1);
-        let limit = self.ball.limit as f64;
-        for number in 0..self.members.len() {
-            if self.passed[number] {
+        self.sink();
+        self.join();
+        if self.name_labels() > 1 {
+            self.list_edges();
+            self.labelling.edges.pad::<L>();
+            self.reach_labels::<L, S>(squares);
+            self.name_classes();
+            self.sort_by_class::<L>();
+        }
+        let work = &mut self.labelling;
+        for &place in &work.places {
+            work.hub[place as usize] = NONE;
+        }
+    }
+
+    /// Finds for each candidate a neighbour that is in all balls of members that it is in itself: the one nearest to the
+    /// members or, in the core, to what of the box around them is farthest. Numbers those that have none.
+    #[inline(always)]
+    fn descend<L: Level>(&mut self) {
+        let blocks = self.blocks;
+        let component = blocks.component(self.members[0] as usize);
+        let limit = L::all(self.limit * (1.0 + self.slack()));
+        let descent = L::all(-self.descent);
+        let mut work = std::mem::take(&mut self.labelling);
+        let Labelling {
+            lower, hub, places, ..
+        } = &mut work;
+        lower.resize(blocks.chunks.len() * LANES, NONE);
+        hub.resize((blocks.chunks.len() + 1) * LANES, NONE);
+        let mut count = 0;
+        let mut numbers = 0;
+        for run in &self.runs {
+            if places.len() < count + run.len() + LANES {
+                places.resize((count + run.len() + LANES).next_power_of_two(), NONE);
+            }
+            for number in run.start / LANES..run.end.div_ceil(LANES) {
+                let chunk = &blocks.chunks[number];
+                let from = number * LANES;
+                let (nearest, scaled) = self.from_members::<L>(chunk);
+                let mut kept = L::bits(L::at_most(nearest, limit)) & lanes_of(run, from);
+                if kept == 0 {
+                    continue;
+                }
+                kept &= L::bits(L::equal(&chunk.component, component));
+                if kept == 0 {
+                    continue;
+                }
+                let changes = changes::<L>(chunk, scaled);
+                let mut lowest = L::all(0.0);
+                for change in changes {
+                    lowest = L::min(change, lowest);
+                }
+                let mut best = [
+                    L::bits(L::at_most(changes[0], lowest)),
+                    L::bits(L::at_most(changes[1], lowest)),
+                    L::bits(L::at_most(changes[2], lowest)),
+                ];
+                let mut of_hub = kept & L::bits(L::at_most(descent, lowest));
+                if of_hub != 0 {
+                    let (inward, sides) = self.inward::<L>(chunk, of_hub);
+                    of_hub &= !inward;
+                    for i in 0..3 {
+                        best[i] = (best[i] & !inward) | (sides[i] & inward);
+                    }
+                }
+                let across = [
+                    sixteen(&blocks.across[0], from),
+                    sixteen(&blocks.across[1], from),
+                    sixteen(&blocks.across[2], from),
+                    sixteen(&blocks.across[3], from),
+                ];
+                let to = sixteen_mut(lower, from);
+                let ends = sixteen_mut(hub, from);
+                for i in 0..LANES {
+                    let bit = 1 << i;
+                    let mut place = across[3][i];
+                    place = if best[2] & bit == 0 {
+                        place
+                    } else {
+                        across[2][i]
+                    };
+                    place = if best[1] & bit == 0 {
+                        place
+                    } else {
+                        across[1][i]
+                    };
+                    place = if best[0] & bit == 0 {
+                        place
+                    } else {
+                        across[0][i]
+                    };
+                    to[i] = if kept & bit == 0 { to[i] } else { place };
+                    ends[i] = if kept & bit == 0 { ends[i] } else { place };
+                }
+                while of_hub != 0 {
+                    let lane = of_hub.trailing_zeros() as usize;
+                    of_hub &= of_hub - 1;
+                    to[lane] = HUB | numbers;
+                    ends[lane] = HUB | numbers;
+                    numbers += 1;
+                }
+                let mask = L::from_bits(kept);
+                L::compress_u32(&sixteen_from(from), mask, sixteen_mut(places, count));
+                count += kept.count_ones() as usize;
+            }
+        }
+        places.truncate(count);
+        if self.slack() > 0.0 {
+            // what is a little nearer than a candidate may seem to be none
+            for &place in places.iter() {
+                let to = lower[place as usize];
+                if to < HUB && hub[to as usize] == NONE {
+                    lower[place as usize] = HUB | numbers;
+                    hub[place as usize] = HUB | numbers;
+                    numbers += 1;
+                }
+            }
+        }
+        work.parent.clear();
+        work.parent.extend(0..numbers);
+        self.labelling = work;
+    }
+
+    /// Which of some lanes are in the core and have a neighbour that the box around the members is less far from, so that it is
+    /// in the core too, and for each of the first three sides whether it leads to the best.
+    #[inline(always)]
+    fn inward<L: Level>(&self, chunk: &Chunk, lanes: u16) -> (u16, [u16; 3]) {
+        let zero = L::all(0.0);
+        let mut from = zero;
+        let mut to = [zero; 4];
+        for a in 0..3 {
+            let (square, half) = (L::all(self.squares[a]), L::all(self.half[a]));
+            let d = L::sub(L::load_i16(&chunk.k[a]), L::all(self.middle[a]));
+            let most = L::add(L::max(d, L::sub(zero, d)), half);
+            from = L::add(from, L::mul(square, L::mul(most, most)));
+            for (to, step) in to.iter_mut().zip(&chunk.steps) {
+                let d = L::add(d, L::load_i8(&step[a]));
+                let most = L::add(L::max(d, L::sub(zero, d)), half);
+                *to = L::add(*to, L::mul(square, L::mul(most, most)));
+            }
+        }
+        let in_core = L::bits(L::at_most(from, L::all(self.limit * (1.0 - self.slack()))));
+        let lowest = L::min(L::min(to[0], to[1]), L::min(to[2], to[3]));
+        // by enough that no way can close
+        let least = L::mul(from, L::all(1.0 - 10.0 * self.slack()));
+        let inward = lanes & in_core & !L::bits(L::at_most(least, lowest));
+        let sides = [
+            L::bits(L::at_most(to[0], lowest)),
+            L::bits(L::at_most(to[1], lowest)),
+            L::bits(L::at_most(to[2], lowest)),
+        ];
+        (inward, sides)
+    }
+
+    /// Replaces what each candidate descends to by the number of the hub that this ends at.
+    #[inline(always)]
+    fn sink(&mut self) {
+        let Labelling { hub, places, .. } = &mut self.labelling;
+        // Each pass at least halves what is left of the ways, and ends those that go with its order.
+        let mut on_the_way = true;
+        while on_the_way {
+            on_the_way = false;
+            for &place in places.iter() {
+                on_the_way |= step_down(hub, place);
+            }
+            if !on_the_way {
+                break;
+            }
+            on_the_way = false;
+            for &place in places.iter().rev() {
+                on_the_way |= step_down(hub, place);
+            }
+        }
+    }
+
+    /// Joins the hub by neighbours within the balls of all members, and lists other neighbours that differ.
+    #[inline(always)]
+    fn join(&mut self) {
+        let limit = self.limit * (1.0 - self.slack());
+        let mut work = std::mem::take(&mut self.labelling);
+        let Labelling {
+            lower,
+            hub,
+            places,
+            parent,
+            pending,
+            ..
+        } = &mut work;
+        let last = hub.len() - 1;
+        let [a, b, c, d] = &self.blocks.across;
+        pending.clear();
+        for &place in places.iter() {
+            let at = place as usize;
+            let own = hub[at];
+            let across = [a[at], b[at], c[at], d[at]];
+            let mut differ = 0u32;
+            for side in 0..4 {
+                let to = across[side];
+                let other = hub[(to as usize).min(last)];
+                let differs = (other != own) & (other != NONE) & (to < place);
+                differ |= u32::from(differs) << side;
+            }
+            while differ != 0 {
+                let to = across[differ.trailing_zeros() as usize];
+                differ &= differ - 1;
+                // Where what they descend to are neighbours too, these tell the same and are in more balls.
+                let (below, below_to) = (lower[at], lower[to as usize]);
+                if below < HUB
+                    && (self.are_neighbours(below, to) || self.are_neighbours(below, below_to))
+                    || below_to < HUB && self.are_neighbours(below_to, place)
+                {
+                    continue;
+                }
+                let (own, other) = (
+                    find(parent, own ^ HUB),
+                    find(parent, hub[to as usize] ^ HUB),
+                );
+                if own == other {
+                    continue;
+                }
+                if self.farthest(place) <= limit && self.farthest(to) <= limit {
+                    unite(parent, own, other);
+                } else {
+                    pending.push([place, to]);
+                }
+            }
+        }
+        self.labelling = work;
+    }
+
+    /// Whether two places are neighbours; the first must be one.
+    #[inline(always)]
+    fn are_neighbours(&self, place: u32, other: u32) -> bool {
+        let [a, b, c, d] = &self.blocks.across;
+        let at = place as usize;
+        (a[at] == other) | (b[at] == other) | (c[at] == other) | (d[at] == other)
+    }
+
+    /// Squared distance of a place from the farthest point of the box around the members.
+    #[inline(always)]
+    fn farthest(&self, place: u32) -> f32 {
+        let k = self.relative(place as usize);
+        let mut farthest = 0.0;
+        for a in 0..3 {
+            let most = (k[a] - self.half[a]).abs() + self.half[a];
+            farthest += self.squares[a] * (most * most);
+        }
+        farthest
+    }
+
+    /// Numbers the labels, and says how many there are.
+    fn name_labels(&mut self) -> usize {
+        let work = &mut self.labelling;
+        work.label.clear();
+        let mut labels = 0;
+        for number in 0..work.parent.len() as u32 {
+            // the root is the first of its label
+            let root = find(&mut work.parent, number);
+            if root == number {
+                work.label.push(labels);
+                labels += 1;
+            } else {
+                let label = work.label[root as usize];
+                work.label.push(label);
+            }
+        }
+        work.of_members.clear();
+        for &member in &self.members {
+            let number = work.hub[member as usize] ^ HUB;
+            work.of_members.push(work.label[number as usize]);
+        }
+        labels as usize
+    }
+
+    /// Lists the edges between labels that members can reach, and numbers only these.
+    fn list_edges(&mut self) {
+        let work = &mut self.labelling;
+        let count = 1 + *work.label.iter().max().expect("the hub is not empty");
+        work.joined.clear();
+        work.joined.extend(0..count);
+        for pair in &work.pending {
+            let [a, b] = pair.map(|p| work.label[(work.hub[p as usize] ^ HUB) as usize]);
+            unite(&mut work.joined, a, b);
+        }
+        work.class.clear();
+        work.class.resize(count as usize, NONE);
+        for &label in &work.of_members {
+            let root = find(&mut work.joined, label);
+            work.class[root as usize] = 0;
+        }
+        let mut reached = 0;
+        for label in 0..count {
+            let root = find(&mut work.joined, label);
+            // roots are the first of what they are joined to, so keep that they are reached
+            if work.class[root as usize] != NONE {
+                work.class[label as usize] = reached;
+                reached += 1;
+            }
+        }
+        for label in work.label.iter_mut().chain(&mut work.of_members) {
+            *label = work.class[*label as usize];
+        }
+        work.joined.truncate(reached as usize);
+        work.edges.clear();
+        for &pair in &work.pending {
+            let [a, b] = pair.map(|p| work.label[(work.hub[p as usize] ^ HUB) as usize]);
+            if a == b || a == NONE {
                 continue;
             }
+            work.edges.len += 1;
+            work.edges.labels[0].push(a.min(b));
+            work.edges.labels[1].push(a.max(b));
+            for (lists, place) in work.edges.k.iter_mut().zip(pair) {
+                let k = self.blocks.k_at(place as usize);
+                for a in 0..3 {
+                    lists[a].push((i32::from(k[a]) - self.origin[a]) as f32);
+                }
+            }
+        }
+    }
+
+    /// Finds which labels are connected to each member.
+    #[inline(always)]
+    fn reach_labels<L: Level, S: Squares>(&mut self, squares: S) {
+        let limit = self.ball.limit as f64;
+        let mut work = std::mem::take(&mut self.labelling);
+        let Labelling {
+            edges,
+            joined,
+            columns,
+            of_members,
+            ..
+        } = &mut work;
+        columns.clear();
+        columns.resize(joined.len(), Column::default());
+        for (number, &own) in of_members.iter().enumerate() {
             let centre = self.relative(self.members[number] as usize);
             let centre = [L::all(centre[0]), L::all(centre[1]), L::all(centre[2])];
-            let joined = &mut self.labelling.joined;
-            joined.clear();
-            joined.extend(0..labels as u32);
-            let mut apart = labels;
-            let Edges { labels: pairs, k } = &self.labelling.edges;
-            for i in 0..pairs.len().div_ceil(LANES) {
+            for (label, joined) in joined.iter_mut().enumerate() {
+                *joined = label as u32;
+            }
+            for from in (0..edges.len).step_by(LANES) {
+                let same = sixteen(&edges.same, from);
+                let (first, second) = (
+                    sixteen(&edges.labels[0], from),
+                    sixteen(&edges.labels[1], from),
+                );
                 let mut inside = u16::MAX;
-                for k in k {
+                for k in &edges.k {
                     let square = squares.of::<L>([
-                        L::sub(L::load(sixteen(&k[0], i * LANES)), centre[0]),
-                        L::sub(L::load(sixteen(&k[1], i * LANES)), centre[1]),
-                        L::sub(L::load(sixteen(&k[2], i * LANES)), centre[2]),
+                        L::sub(L::load(sixteen(&k[0], from)), centre[0]),
+                        L::sub(L::load(sixteen(&k[1], from)), centre[1]),
+                        L::sub(L::load(sixteen(&k[2], from)), centre[2]),
                     ]);
                     inside &= L::bits(S::at_most::<L>(square, limit));
                 }
                 while inside != 0 {
-                    let [a, b] = pairs[i * LANES + inside.trailing_zeros() as usize];
-                    inside &= inside - 1;
-                    let (a, b) = (find(joined, a), find(joined, b));
-                    if a != b {
-                        joined[a.max(b) as usize] = a.min(b);
-                        apart -= 1;
-                    }
-                }
-                if apart == 1 {
-                    break;
+                    let lane = inside.trailing_zeros() as usize;
+                    inside &= !same[lane];
+                    unite(joined, first[lane], second[lane]);
                 }
             }
-            if apart == 1 {
-                continue;
+            // What a label is joined to has a lower number.
+            for label in 0..joined.len() {
+                joined[label] = joined[joined[label] as usize];
             }
-            let own = find(joined, self.labelling.of_members[number]);
-            for label in 0..labels {
-                let alive = find(joined, label as u32) == own;
-                self.alive[number * labels + label] = u32::from(alive);
+            let own = joined[own as usize];
+            for (column, &joined) in columns.iter_mut().zip(joined.iter()) {
+                column[number / 64] |= u64::from(joined == own) << (number % 64);
             }
         }
+        self.labelling = work;
     }
 
-    /// Which side of each surfel leads nearer to all members.
-    #[inline(always)]
-    fn descend<L: Level>(&mut self) {
-        let sides = &mut self.labelling.sides;
-        sides.resize(self.blocks.chunks.len() * LANES, NO_SIDE);
-        let descent = L::all(-self.descent);
-        for run in &self.runs {
-            for number in run.start / LANES..run.end.div_ceil(LANES) {
-                let chunk = &self.blocks.chunks[number];
-                let mut scaled = [L::all(0.0); 3];
-                for a in 0..3 {
-                    let d = L::sub(L::load_i16(&chunk.k[a]), L::all(self.middle[a]));
-                    scaled[a] = L::mul(L::all(self.squares[a]), d);
-                }
-                let mut lowest = L::all(0.0);
-                let mut changes = [lowest; 4];
-                for (change, step) in changes.iter_mut().zip(&chunk.steps) {
-                    let step = [
-                        L::load_i8(&step[0]),
-                        L::load_i8(&step[1]),
-                        L::load_i8(&step[2]),
-                    ];
-                    *change = dot::<L>(step, scaled);
-                    lowest = L::min(*change, lowest);
-                }
-                let hub = L::bits(L::at_most(descent, lowest));
-                let mut best = [0u16; 4];
-                for side in 0..4 {
-                    best[side] = L::bits(L::at_most(changes[side], lowest));
-                }
-                let to = sixteen_mut(sides, number * LANES);
-                for (i, to) in to.iter_mut().enumerate() {
-                    let is = |bits: u16| (bits >> i & 1) as u8;
-                    // the first of the best sides
-                    let side =
-                        (1 - is(best[0])) * (1 + (1 - is(best[1])) * (1 + (1 - is(best[2]))));
-                    *to = side | (is(hub) * NO_SIDE);
-                }
-            }
-        }
-    }
-
-    /// Numbers the candidates, and finds those that are in the balls of all members.
-    #[inline(always)]
-    fn find_core<L: Level>(&mut self) {
-        let limit = L::all(self.limit * (1.0 - self.slack()));
+    /// Names labels: those that are connected to the same members have one name, 0 if that are all of them, and those
+    /// connected to none have none.
+    fn name_classes(&mut self) {
         let work = &mut self.labelling;
-        work.core.clear();
-        work.places.clear();
-        for list in &self.lists {
-            for i in 0..list.padded() / LANES {
-                let mut farthest = L::all(0.0);
-                for (a, k) in [&list.x, &list.y, &list.z].into_iter().enumerate() {
-                    let half = L::all(self.half[a]);
-                    let d = L::sub(L::load(sixteen(k, i * LANES)), half);
-                    let most = L::add(L::max(d, L::sub(L::all(0.0), d)), half);
-                    let square = L::mul(L::all(self.squares[a]), L::mul(most, most));
-                    farthest = L::add(farthest, square);
-                }
-                work.core.push(L::bits(L::at_most(farthest, limit)));
+        let mut all = Column::default();
+        for number in 0..self.members.len() {
+            all[number / 64] |= 1 << (number % 64);
+        }
+        let columns = &work.columns;
+        work.mixed.clear();
+        work.class.clear();
+        let mut some_have_all = false;
+        for (label, column) in columns.iter().enumerate() {
+            let mut class = NONE;
+            if *column == all {
+                class = 0;
+                some_have_all = true;
+            } else if *column != Column::default() {
+                work.mixed.push(label as u32);
             }
-            work.places.extend_from_slice(&list.place[..list.len]);
-            work.places.resize(work.core.len() * LANES, NONE);
+            work.class.push(class);
+        }
+        work.mixed
+            .sort_unstable_by_key(|&label| columns[label as usize]);
+        work.classes.clear();
+        if some_have_all {
+            work.classes.push(all);
+        }
+        for &label in &work.mixed {
+            let column = columns[label as usize];
+            if work.classes.last() != Some(&column) {
+                work.classes.push(column);
+            }
+            work.class[label as usize] = work.classes.len() as u32 - 1;
+        }
+        self.labels = None;
+        self.alive.clear();
+        if !work.mixed.is_empty() {
+            self.labels = Some(work.classes.len());
+            for number in 0..self.members.len() {
+                for column in &work.classes {
+                    let bits = column[number / 64] >> (number % 64);
+                    self.alive.push((bits & 1) as u32);
+                }
+            }
+        }
+        for label in &mut work.label {
+            if *label != NONE {
+                *label = work.class[*label as usize];
+            }
         }
     }
 
-    /// Labels candidates by what connects them within the balls of all members, and takes those that have another
-    /// label than most out of their lists.
-    fn label(&mut self) {
-        let blocks = self.blocks;
-        let origin = self.origin;
-        let work = &mut self.labelling;
-        work.slots.resize(blocks.len(), NONE);
-        for (slot, &place) in work.places.iter().enumerate() {
-            if place != NONE {
-                work.slots[place as usize] = slot as u32;
-            }
-        }
-        work.parent.clear();
-        for (own, &place) in work.places.iter().enumerate() {
-            let mut lower = NONE;
-            if place != NONE {
-                let side = work.sides[place as usize];
-                if side < NO_SIDE {
-                    let across = blocks.across[side as usize][place as usize];
-                    lower = work.slots[across as usize];
-                }
-            }
-            work.parent
-                .push(if lower == NONE { own as u32 } else { lower });
-        }
-        work.root.clear();
-        for own in 0..work.places.len() as u32 {
-            let root = find(&mut work.parent, own);
-            work.root.push(root);
-        }
-        work.pending.clear();
-        let is_core = |core: &[u16], c: usize| core[c / LANES] >> (c % LANES) & 1 == 1;
-        for (own, &place) in work.places.iter().enumerate() {
-            if place == NONE {
-                continue;
-            }
-            for &across in blocks.earlier(place as usize) {
-                let other = work.slots[across as usize];
-                if other == NONE || work.root[other as usize] == work.root[own] {
-                    continue;
-                }
-                if is_core(&work.core, own) && is_core(&work.core, other as usize) {
-                    unite(&mut work.parent, work.root[own], work.root[other as usize]);
-                } else {
-                    work.pending.push([own as u32, other]);
-                }
-            }
-        }
-        // Number the labels, at the roots first.
-        work.label.clear();
-        work.label.resize(work.places.len(), NONE);
-        work.counts.clear();
-        for (own, &place) in work.places.iter().enumerate() {
-            if place == NONE {
-                continue;
-            }
-            let root = find(&mut work.parent, work.root[own]) as usize;
-            if work.label[root] == NONE {
-                work.label[root] = work.counts.len() as u32;
-                work.counts.push(0);
-            }
-            let label = work.label[root];
-            work.label[own] = label;
-            work.counts[label as usize] += 1;
-        }
-        work.of_members.clear();
-        for &member in &self.members {
-            let slot = work.slots[member as usize] as usize;
-            work.of_members.push(work.label[slot]);
-        }
-        for &place in &work.places {
-            if place != NONE {
-                work.slots[place as usize] = NONE;
-            }
-        }
-        if work.counts.len() == 1 {
+    /// Leaves the candidates of the first class in their lists.
+    #[inline(always)]
+    fn sort_by_class<L: Level>(&mut self) {
+        let Labelling { hub, label, .. } = &self.labelling;
+        if label.iter().all(|&class| class == 0) {
             return;
         }
-        let label = &work.label;
-        let labels = |pair: &[u32; 2]| pair.map(|slot| label[slot as usize]);
-        work.pending.retain(|pair| {
-            let [a, b] = labels(pair);
-            a != b
-        });
-        work.edges.labels.clear();
-        work.edges.labels.extend(work.pending.iter().map(labels));
-        self.name_labels();
-        let work = &mut self.labelling;
-        // Edges of labels that nobody reaches have none.
-        for (end, k) in work.edges.k.iter_mut().enumerate() {
-            for (a, list) in k.iter_mut().enumerate() {
-                list.clear();
-                let kept = work.pending.iter().zip(&work.edges.labels);
-                list.extend(
-                    kept.filter(|(_, labels)| labels[0] != NONE)
-                        .map(|(pair, _)| {
-                            let place = work.places[pair[end] as usize] as usize;
-                            (i32::from(blocks.k_at(place)[a]) - origin[a]) as f32
-                        }),
-                );
-                list.resize(list.len().next_multiple_of(LANES), NOWHERE);
-            }
-        }
-        work.edges.labels.retain(|labels| labels[0] != NONE);
-        self.sort_by_label();
-    }
-
-    /// Numbers the labels that members can reach, that of the most candidates first.
-    fn name_labels(&mut self) {
-        let work = &mut self.labelling;
-        let labels = work.counts.len();
-        work.joined.clear();
-        work.joined.extend(0..labels as u32);
-        for &[a, b] in &work.edges.labels {
-            unite(&mut work.joined, a, b);
-        }
-        work.renamed.clear();
-        work.renamed.resize(labels, NONE);
-        for &label in &work.of_members {
-            let root = find(&mut work.joined, label);
-            work.renamed[root as usize] = 0;
-        }
-        for label in 0..labels {
-            let root = find(&mut work.joined, label as u32) as usize;
-            work.renamed[label] = work.renamed[root];
-        }
-        let reached = |label: usize| work.renamed[label] == 0;
-        let main = (0..labels)
-            .filter(|&l| reached(l))
-            .max_by_key(|&l| work.counts[l]);
-        let mut next = 0;
-        for label in 0..labels {
-            if Some(label) != main && work.renamed[label] == 0 {
-                next += 1;
-                work.renamed[label] = next;
-            }
-        }
-        for label in &mut work.of_members {
-            *label = work.renamed[*label as usize];
-        }
-        let renamed = &work.renamed;
-        for labels in &mut work.edges.labels {
-            *labels = labels.map(|l| renamed[l as usize]);
-        }
-        self.labels = Some(next as usize + 1);
-    }
-
-    /// Leaves the candidates of the first label in their lists.
-    fn sort_by_label(&mut self) {
-        let work = &self.labelling;
-        let mut first = 0;
+        let last = label.len() - 1;
         for (list, labelled) in self.lists.iter_mut().zip(&mut self.labelled) {
-            let mut kept = 0;
-            let end = first + list.padded();
-            for at in 0..list.len {
-                let label = work.renamed[work.label[first + at] as usize];
-                let (k, place, tag) = (list.k(at), list.place[at], list.tag[at]);
-                match label {
-                    0 => {
-                        list.set(kept, k, place, tag);
-                        kept += 1;
-                    }
-                    NONE => self.apart.push(k, place, tag),
-                    _ => labelled.push_labelled(k, place, tag, label),
+            let len = list.len;
+            list.clear();
+            for from in (0..len).step_by(LANES) {
+                let places = sixteen(&list.place, from);
+                let mut classes = [0; LANES];
+                for i in 0..LANES {
+                    // what fills the list up may be no candidate
+                    let number = (hub[places[i] as usize] ^ HUB) as usize;
+                    classes[i] = label[number.min(last)];
                 }
+                let all = lanes_of(&(0..len), from);
+                let main = L::bits(L::equal(&classes, 0)) & all;
+                let apart = L::bits(L::equal(&classes, NONE)) & all;
+                self.apart.move_from::<L>(list, from, &classes, apart);
+                labelled.move_from::<L>(list, from, &classes, all & !main & !apart);
+                list.keep::<L>(from, main);
             }
-            first = end;
-            list.len = kept;
             list.pad();
             labelled.pad();
         }
         self.apart.pad();
     }
+}
+
+/// Replaces what a candidate descends to by what that descends to; whether this is a place again.
+#[inline(always)]
+fn step_down(hub: &mut [u32], place: u32) -> bool {
+    let to = hub[place as usize];
+    let from = if to < HUB { to } else { place };
+    let to = hub[from as usize];
+    hub[place as usize] = to;
+    to < HUB
 }
