@@ -206,6 +206,51 @@ fn solid(dims: [u32; 3], seed: u64, share: u64) -> Vec<bool> {
     inside
 }
 
+/// A gyroid: one sheet that comes near itself again and again.
+fn folds(dims: [u32; 3], period: f64) -> Vec<bool> {
+    let turn = std::f64::consts::TAU / period;
+    let mut inside = Vec::new();
+    for z in 0..dims[2] {
+        for y in 0..dims[1] {
+            for x in 0..dims[0] {
+                let [x, y, z] = [x, y, z].map(|c| f64::from(c) * turn);
+                let g = x.sin() * y.cos() + y.sin() * z.cos() + z.sin() * x.cos();
+                inside.push(g > 0.0);
+            }
+        }
+    }
+    inside
+}
+
+/// Random walks, one voxel thick.
+fn hairball(dims: [u32; 3], seed: u64, hairs: usize) -> Vec<bool> {
+    let mut state = seed | 1;
+    let mut random = |below: u32| {
+        state = state
+            .wrapping_mul(6364136223846793005)
+            .wrapping_add(1442695040888963407);
+        (state >> 33) as u32 % below
+    };
+    let mut inside = vec![false; dims.iter().product::<u32>() as usize];
+    for _ in 0..hairs {
+        let mut at = dims.map(&mut random);
+        let (mut a, mut up) = (0, true);
+        for _ in 0..40 {
+            if random(4) == 0 {
+                (a, up) = (random(3) as usize, random(2) == 0);
+            }
+            at[a] = if up {
+                at[a] + 1
+            } else {
+                at[a].saturating_sub(1)
+            }
+            .min(dims[a] - 1);
+            inside[((at[2] * dims[1] + at[1]) * dims[0] + at[0]) as usize] = true;
+        }
+    }
+    inside
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
@@ -221,5 +266,19 @@ proptest! {
     ) {
         let adjacency = if exterior { Adjacency::Exterior } else { Adjacency::Interior };
         check(dims, &solid(dims, seed, share), spacing, radius, closed, adjacency);
+    }
+    #[test]
+    fn sets_among_hairs_and_thin_sheets_are_those_of_a_walk(
+        dims in [8u32..26, 8u32..22, 8u32..18],
+        seed in any::<u64>(),
+        hairs in prop::sample::select(vec![0usize, 6, 20, 60]),
+        period in 2.5f64..9.0,
+        radius in 2.0f64..10.0,
+        spacing in prop::sample::select(vec![[1.0; 3], [1.0; 3], [1.0, 0.7, 1.4]]),
+        exterior in any::<bool>(),
+    ) {
+        let adjacency = if exterior { Adjacency::Exterior } else { Adjacency::Interior };
+        let inside = if hairs == 0 { folds(dims, period) } else { hairball(dims, seed, hairs) };
+        check(dims, &inside, spacing, radius, true, adjacency);
     }
 }
