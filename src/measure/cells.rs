@@ -76,6 +76,12 @@ pub struct CellMeasures {
     pub marks: Vec<u8>,
 }
 
+/// Adds to a list and leaves no room at its end, as it is held for long.
+pub(crate) fn extend<T>(list: &mut Vec<T>, next: Vec<T>) {
+    list.reserve_exact(next.len());
+    list.extend(next);
+}
+
 impl CellMeasures {
     /// Adds those of the surfels that follow.
     pub fn append(&mut self, next: Self) {
@@ -86,13 +92,14 @@ impl CellMeasures {
         let [linels, umbrellas] = [self.linels.len(), self.umbrellas.len()].map(|n| n as u32);
         // the end of what is there is where the next ones start
         let from = next.owned_from.iter().skip(1);
-        (self.owned_from).extend(from.map(|n| [n[0] + linels, n[1] + umbrellas]));
-        self.lumped.extend(next.lumped);
-        self.mu0.extend(next.mu0);
-        self.linels.extend(next.linels);
-        self.umbrellas.extend(next.umbrellas);
-        self.omega.extend(next.omega);
-        self.marks.extend(next.marks);
+        let owned: Vec<_> = from.map(|n| [n[0] + linels, n[1] + umbrellas]).collect();
+        extend(&mut self.owned_from, owned);
+        extend(&mut self.lumped, next.lumped);
+        extend(&mut self.mu0, next.mu0);
+        extend(&mut self.linels, next.linels);
+        extend(&mut self.umbrellas, next.umbrellas);
+        extend(&mut self.omega, next.omega);
+        extend(&mut self.marks, next.marks);
     }
 
     /// Memory held, in bytes.

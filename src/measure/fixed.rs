@@ -31,7 +31,7 @@ pub const SPHERE: i64 = 8 * QUARTER_TURN;
 /// exactly the negative.
 #[inline(always)]
 fn nearest(x: f64) -> i64 {
-    // the last binary digit of what is added is 1
+    // so large that the last binary digit of a sum with it stands for 1
     const LARGE: f64 = 1.5 * (1u64 << 52) as f64;
     const LIMIT: f64 = (1u64 << 51) as f64;
     let x = if x.abs() < LIMIT { x } else { 0.0 };

@@ -19,7 +19,8 @@
 //!
 //! **Memory.** A slab takes its surfels from a budget before it is computed and gives them back
 //! when its last user drops it ([`budget`]). Slab heights adapt to the surface met; [`plan`]
-//! derives the rest from the memory allowed. Neither can show in the results.
+//! derives the rest from the memory allowed. Workers wait for scratch memory alone, which they take for one brick, or a piece of
+//! one, at a time (`scratch`). Nothing of it can show in the results.
 
 mod access;
 pub mod budget;

@@ -7,7 +7,7 @@
 //! |---|---|
 //! | program, sinks | [`FIXED_BYTES`], [`COLUMN_BYTES`] for each column of parts, what the open input holds |
 //! | read buffers | three chunks of planes as stored, unless they are mapped; of a volume in pieces, a box and a piece for each task that reads ([`ChunkPlan`]) |
-//! | bits, and the index of surfels | 1/8 byte a voxel of 2 R + 3 H + 8 + S planes, about 9/16 more (as if no brick were empty) of 2 H + 8 of them; what slabs of several planes take beyond that is taken from what is left for surfels |
+//! | bits, and the index of surfels | 1/8 byte a voxel of 2 R + 4 H + 15 + S planes, about 9/16 more (as if no brick were empty) of 2 H + 8 of them; what slabs of several planes take beyond that is taken from what is left for surfels |
 //! | bits of a layer | the same 1/8 byte, for the planes that are read together because pieces are as thick |
 //! | grey values | S + R + max(R, H + 3) + 2 planes as stored and three chunks of them, only for the gradient |
 //! | a table of normals | its row groups and [`crate::sink::GIVEN_READ_BYTES`], only for given normals |
@@ -15,7 +15,7 @@
 //! | rows | [`Plan::row_bytes`] a surfel of a slab, [`Plan::sent_row_bytes`] a surfel of its densest plane, within 1/4 of it |
 //! | refined normals | [`Plan::refining_ahead`] planes more on either side of what is held, three slabs a pass, 24 bytes and 33 a pass for each surfel in flight |
 //! | mu_Omega, if asked for | 8 bytes more a surfel in flight and of scratch (18 where linels are kept), 4 a row and radius |
-//! | scratch of workers | what [`super::scratch`] says of the worst brick of S planes, a quarter of what is left at most; at least that of one plane |
+//! | scratch of workers | what `scratch.rs` says of the worst brick of S planes, for each; a quarter of what is left for all at most, an eighth where bits take more than that, or what bits leave of 5/8 with a wide reach. At least the worst plane of a brick |
 //!
 //! The number of surfels is only known when they are met, so slabs adapt: a slab is lowered until
 //! the surfels that must be held at once fit ([`Plan::surfel_budget_bytes`]); a surface that does
@@ -202,11 +202,17 @@ pub struct PlanRequest<'a> {
 }
 
 impl Plan {
-    /// Planes that must follow a slab before it can be let go: those within reach of its sums, and
-    /// two more for the measures of their cells.
+    /// Planes that must follow a slab before its sums can be made: those within their reach, and two more for the
+    /// measures of their cells.
     #[must_use]
     pub fn planes_ahead(&self) -> i32 {
         self.refining_ahead() + self.ball_reach[2] + 4
+    }
+
+    /// Planes that must follow a slab before it can be let go: it is within reach of the sums of others, too.
+    #[must_use]
+    pub fn planes_until_release(&self) -> i32 {
+        self.planes_ahead() + self.refining_ahead() + self.ball_reach[2] + 1
     }
 
     /// How many planes each stage below the normals looks ahead of a slab, and behind.
@@ -390,7 +396,9 @@ impl Plan {
         let bits_bytes = |edge: i32, slab: i32| {
             let slabs = slabs_in_flight(refining_reach.len());
             let indexed = |height: u64| 2 * (ball_z + refining_ahead as u64) + slabs * height;
-            let packed = 2 * normal_z + ball_z + 6 + slab as u64 + waiting;
+            // as far ahead as a slab is held
+            let ahead = 2 * ball_z + refining_ahead as u64 + 7;
+            let packed = 2 * normal_z + ahead + slab as u64 + waiting;
             if let Some(bytes) = tiles(packed + indexed(slab as u64).min(z + 1), 8) {
                 return bytes;
             }
@@ -434,6 +442,17 @@ impl Plan {
         let base = (fixed_bytes.saturating_add(read_bytes)).saturating_add(layer_bytes);
         let left = request.memory_bytes.saturating_sub(base);
         let is_wide = normal_reach.into_iter().max() > Some(WIDE_REACH);
+        // What depends on surfels is cut in pieces where they are many; the rest is known, and should not be cut.
+        let least_scratch = |edge: i32, slab: i32| {
+            let of_stage = |&stage: &Stage| {
+                if needs.by_surfels(stage) {
+                    needs.most_bytes(stage, [edge, edge, 1], cell_dims)
+                } else {
+                    needs.most_bytes(stage, [edge, edge, slab], cell_dims) * request.threads as u64
+                }
+            };
+            stages.iter().map(of_stage).max().unwrap_or(0)
+        };
         // Grey values come first. They are large, so a slab is only higher than one plane if they
         // leave 3/4. Of the rest bits may take up to 3/8, or 1/2 if nothing else fits, and scratch up to 1/4, or 1/8 where bits
         // take much; but what bits leave of 5/8 where wide bricks save much work. What then is left is for surfels.
@@ -453,7 +472,7 @@ impl Plan {
             let rest = left.saturating_sub(grey);
             (slab == 1 || grey <= left / 4)
                 && bits_bytes(edge, slab) <= rest / 8 * eighths
-                && scratch_bytes(edge, 1) <= for_scratch(edge, slab)
+                && least_scratch(edge, slab) <= for_scratch(edge, slab)
         };
         // Rims are done again, so wide bricks save work, as long as there are enough for the workers.
         let [columns_x, columns_y] = [0, 1].map(|a| cell_dims[a] as u64);

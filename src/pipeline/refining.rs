@@ -98,46 +98,37 @@ fn refine_brick(
 ) -> NormalBrick {
     let core = grid.core(slab.numbers[at], &slab.z);
     let brick = &slab.bricks[at];
-    let stage = Stage::Refining(kernel.reach(number));
-    let mut refined = Vec::with_capacity(brick.u.len());
-    let pass = |piece| {
-        refined.extend(refined_piece(
-            shared,
-            kernel,
-            number,
-            (grid, window, voxels),
-            piece,
-        ))
-    };
-    (shared.scratch).in_pieces(shared, voxels, stage, core, pass);
     let is_last = number + 1 == kernel.passes();
     let first = brick.first.as_deref().unwrap_or(&brick.u);
     let mut marks = brick.marks.clone();
-    for ((mark, refined), &first) in marks.iter_mut().zip(&mut refined).zip(first) {
-        if refined.estimate.cut {
-            *mark |= mark::CUT;
+    let mut u = Vec::with_capacity(brick.u.len());
+    let mut offsets = Vec::with_capacity(if is_last { 0 } else { brick.u.len() });
+    let pass = |piece| {
+        let around = (grid, window, voxels);
+        for mut refined in refined_piece(shared, kernel, number, around, piece) {
+            let (mark, first) = (&mut marks[u.len()], first[u.len()]);
+            if refined.estimate.cut {
+                *mark |= mark::CUT;
+            }
+            if *mark & mark::DEGENERATE != 0 {
+                (refined.estimate.u, refined.estimate.offset) = (first, 0.0);
+            }
+            if is_last {
+                u.push(settled(&refined, first));
+            } else {
+                u.push(refined.estimate.u);
+                offsets.push(refined.estimate.offset);
+            }
         }
-        if *mark & mark::DEGENERATE != 0 {
-            (refined.estimate.u, refined.estimate.offset) = (first, 0.0);
-        }
-    }
-    if is_last {
-        let u = refined
-            .iter()
-            .zip(first)
-            .map(|(refined, &first)| settled(refined, first));
-        return brick.with_normals(u.collect(), Vec::new(), None, marks);
-    }
-    let u = refined.iter().map(|refined| refined.estimate.u).collect();
-    let offsets = refined
-        .iter()
-        .map(|refined| refined.estimate.offset)
-        .collect();
-    let first = brick
-        .first
-        .clone()
-        .unwrap_or_else(|| Arc::new(brick.u.clone()));
-    brick.with_normals(u, offsets, Some(first), marks)
+    };
+    let stage = Stage::Refining(kernel.reach(number));
+    (shared.scratch).in_pieces(shared, voxels, stage, core, pass);
+    let first = match &brick.first {
+        _ if is_last => None,
+        Some(first) => Some(Arc::clone(first)),
+        None => Some(Arc::new(brick.u.clone())),
+    };
+    brick.with_normals(u, offsets, first, marks)
 }
 
 /// Estimates of the cells `core` of a brick after a pass.

@@ -8,7 +8,7 @@ use crate::curvature::uncertainty::{self, ErrorKind};
 use crate::curvature::{Curvature, upward};
 use crate::khalimsky::{OrientedSurfel, sign};
 use crate::measure::ball::{BallSums, Evidence, LocalMeasures};
-use crate::measure::cells::{CellMeasures, mark};
+use crate::measure::cells::{CellMeasures, extend, mark};
 use crate::measure::fixed;
 use crate::measure::surface::Surface;
 use crate::normal::Estimator;
@@ -214,10 +214,10 @@ impl BrickRows {
         }
         fn each<T>(to: &mut [Vec<T>], next: Vec<Vec<T>>) {
             for (to, next) in to.iter_mut().zip(next) {
-                to.extend(next);
+                extend(to, next);
             }
         }
-        self.surfels.extend(next.surfels);
+        extend(&mut self.surfels, next.surfels);
         each(&mut self.curvatures, next.curvatures);
         each(&mut self.directions, next.directions);
         each(&mut self.errors, next.errors);

@@ -16,6 +16,9 @@ use crate::volume::{BitBox, PlaneWindow};
 use super::budget::Budget;
 use super::shared::Shared;
 
+/// Bits and index of a box, for each 16 voxels.
+const BOX_BYTES: u64 = 11;
+
 /// Scratch for each surfel of a brick and its halo: place, links, measures, and the same in the order of blocks.
 const SCRATCH_BYTES: u64 = 92 + FLOAT_BYTES + BLOCK_BYTES;
 
@@ -83,6 +86,11 @@ impl Needs<'_> {
             hi: [0, 1, 2].map(|a| core.hi[a] + reach[a]),
         };
         let volume = |cells: CellBox| cells.size().map(|n| n as u64).iter().product::<u64>();
+        // of those that extract the surface around
+        let extracted = |reach: [i32; 3], each: u64| {
+            let around = grown(reach);
+            surfels(around) * each + box_bytes(around)
+        };
         match stage {
             Stage::Normals if self.normals.needs_grey() => {
                 volume(grown(self.normals.reach())) * size_of::<f64>() as u64
@@ -92,10 +100,10 @@ impl Needs<'_> {
                 let by_blocks = matches!(self.normals, NormalKernel::Average(_));
                 let each = NORMAL_SCRATCH_BYTES + if by_blocks { BLOCK_BYTES } else { 0 };
                 (self.normals.scratch_bytes(core.size()))
-                    .unwrap_or_else(|| surfels(grown(self.normals.reach())) * each)
+                    .unwrap_or_else(|| extracted(self.normals.reach(), each))
             }
-            Stage::Refining(reach) => surfels(grown(reach)) * REFINING_SCRATCH_BYTES,
-            Stage::Cells => surfels(grown([1; 3])) * (MEASURED_BYTES + self.omega_bytes),
+            Stage::Refining(reach) => extracted(reach, REFINING_SCRATCH_BYTES),
+            Stage::Cells => extracted([1; 3], MEASURED_BYTES + self.omega_bytes),
             Stage::Sums if self.invariants => {
                 // surfels of the core alone, and the bits around it
                 let bits = volume(grown(self.ball_reach.map(|r| r + 64)));
@@ -107,9 +115,19 @@ impl Needs<'_> {
                 } else {
                     CELL_SCRATCH_BYTES
                 };
-                surfels(grown(self.ball_reach)) * (each + self.omega_bytes)
-                    + surfels(core) * SUMMED_BYTES
+                extracted(self.ball_reach, each + self.omega_bytes) + surfels(core) * SUMMED_BYTES
             }
+        }
+    }
+
+    /// Whether what a stage takes depends on surfels more than on anything else.
+    pub(super) fn by_surfels(&self, stage: Stage) -> bool {
+        match stage {
+            Stage::Normals => {
+                !self.normals.needs_grey() && self.normals.scratch_bytes([1; 3]).is_none()
+            }
+            Stage::Sums => !self.invariants,
+            Stage::Refining(_) | Stage::Cells => true,
         }
     }
 
@@ -121,6 +139,11 @@ impl Needs<'_> {
         };
         self.bytes(stage, core, |cells| at_most(cells, cell_dims))
     }
+}
+
+/// Bits and index of a box of cells.
+fn box_bytes(cells: CellBox) -> u64 {
+    cells.size().map(|n| n as u64).iter().product::<u64>() * BOX_BYTES / 16
 }
 
 /// Surfels of a box of cells, at most.
@@ -172,6 +195,11 @@ impl Scratch {
                 if most <= self.share {
                     break most;
                 }
+                // Counting takes bits and an index.
+                let around = needs.bytes(stage, piece, |_| 0);
+                let Some(_counting) = self.budget.take(around, 0, || shared.stopped()) else {
+                    return;
+                };
                 let counted = |cells| count(window, cells, shared.lattice);
                 let bytes = needs.bytes(stage, piece, counted);
                 if bytes <= self.share || height == 1 {

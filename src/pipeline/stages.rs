@@ -195,6 +195,14 @@ impl Arrived<'_> {
         self.counts.range(from.min(to)..to).sum()
     }
 
+    /// The same, and as many in each plane that has not arrived as in the densest that has.
+    fn expected(&self, z: Range<i32>) -> u64 {
+        let end = self.counted_from + self.counts.len() as i32;
+        let missing = (z.end - end.max(z.start)).max(0) as u64;
+        let densest = self.counts.iter().max().copied().unwrap_or(0);
+        self.surfels(z) + missing * densest
+    }
+
     fn release_before(&mut self, planes: i32, counts: i32) {
         let drop = (planes - self.window.z0).clamp(0, self.window.planes.len() as i32);
         self.window.planes.drain(..drop as usize);
@@ -256,7 +264,12 @@ pub(super) fn normals(
         counted_from: 0,
         done: false,
     };
-    let ahead = reach.max(shared.plan.planes_ahead());
+    // Grey planes are large; beyond what is needed of them, surfels are guessed.
+    let ahead = reach.max(if arrived.grey.is_some() {
+        shared.plan.planes_ahead()
+    } else {
+        shared.plan.planes_until_release()
+    });
     let mut slabs: VecDeque<Chosen> = VecDeque::new();
     let mut indices = Indices::default();
     let mut found = Found::default();
@@ -470,7 +483,7 @@ fn choose_slab(
             .unwrap_or(0);
         let rows = slab.surfels * plan.row_bytes + densest * plan.sent_row_bytes;
         let bytes = held + slab.bytes(shared);
-        let follow = arrived.surfels(end..(end + plan.planes_ahead()).min(depth));
+        let follow = arrived.expected(end..(end + plan.planes_until_release()).min(depth));
         let fits = bytes <= room && rows <= room_of_rows;
         let may_be_higher = || {
             bytes + follow * plan.surfel_bytes <= room
@@ -485,7 +498,7 @@ fn choose_slab(
                 (bytes.saturating_sub(room) * 4 / 3).max(rows.saturating_sub(room_of_rows) * 4);
             return Err(Error::TooDense {
                 plane: z,
-                surfels: bytes / plan.surfel_bytes,
+                surfels: slabs.iter().map(|s| s.surfels).sum::<u64>() + slab.surfels,
                 needed_bytes: plan.memory_bytes + 3 * more,
             });
         }
@@ -765,8 +778,8 @@ fn row_piece(
                 from.owned_from[run.start][i] as usize..from.owned_from[run.end][i] as usize
             });
             let shift = [
-                gathered.linels.len() as u32 - linels.start as u32,
-                gathered.umbrellas.len() as u32 - umbrellas.start as u32,
+                (gathered.linels.len() as u32).wrapping_sub(linels.start as u32),
+                (gathered.umbrellas.len() as u32).wrapping_sub(umbrellas.start as u32),
             ];
             gathered.owned_from.extend(
                 from.owned_from[run.start + 1..=run.end]

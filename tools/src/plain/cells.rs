@@ -2,7 +2,7 @@
 //!
 //! In: a surface, u per surfel, the scale. Out: mu0 on surfels and the tensor on linel sheets as
 //! multiples of [`UNIT`]; mu2 on umbrellas as multiples of [`MU2_UNIT`]. Each is rounded once
-//! (half away from zero), so all sums are exact and do not depend on their order.
+//! (halves to even), so all sums are exact and do not depend on their order.
 //!
 //! mu2 is defined for any u, even where the paper's condition (iii) fails: with Q(f, g) the area
 //! swept on the sphere from the trivial to the corrected normals of two joined surfels,
