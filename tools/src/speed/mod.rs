@@ -12,6 +12,7 @@
 //! * [`Table::Threads`]: two threads against one, on the clock.
 //! * [`Table::Bricks`]: the same run with other bricks and within less memory.
 //! * [`Table::Empty`]: a volume without a solid, against a copy of its bytes.
+//! * [`Table::Dense`]: sheets, hairs and volumes by path against a smooth surface.
 //!
 //! Not guaranteed: that numbers of two runs of this command compare; set a ratio against a ratio.
 
@@ -20,6 +21,7 @@ pub mod runs;
 pub mod subject;
 pub mod walks;
 
+mod dense;
 mod methods;
 mod variations;
 
@@ -42,6 +44,8 @@ pub enum Table {
     Bricks,
     /// Empty space against a copy in memory.
     Empty,
+    /// Sheets and hairs, closer together than the ball.
+    Dense,
 }
 
 /// Options of `speed`.
@@ -88,7 +92,7 @@ pub struct SpeedArgs {
         long,
         value_enum,
         value_delimiter = ',',
-        default_value = "methods,growth,threads,bricks,empty"
+        default_value = "methods,growth,threads,bricks,empty,dense"
     )]
     tables: Vec<Table>,
 
@@ -117,6 +121,7 @@ impl SpeedArgs {
                 Table::Threads => variations::print_threads(&self)?,
                 Table::Bricks => variations::print_bricks(&self)?,
                 Table::Empty => variations::print_empty(&self)?,
+                Table::Dense => dense::print(&self)?,
             }
         }
         Ok(())
