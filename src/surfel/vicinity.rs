@@ -18,8 +18,8 @@
 //! that are less far from the box around the members, which are in the core too. Labels are joined across linels between surfels of the
 //! core. What is then left between different labels are *edges*: pairs of
 //! neighbours that count for a member if both are in its ball. Those where what both descend to are neighbours
-//! as well are not needed. So each member joins a handful of labels instead of
-//! walking over its ball. Labels that are connected to the same members are one *class*. Candidates whose labels are
+//! as well are not needed. For each edge it is written down which members it counts for, a bit for each, and so
+//! all of them go over the edges at once, from their own labels to all that are connected to them. Labels that are connected to the same members are one *class*. Candidates whose labels are
 //! connected to no member are *apart*: with those of other components, they only tell that there
 //! are several sheets.
 //!
@@ -67,13 +67,41 @@ struct Hub {
 }
 
 /// What a search finds.
+#[derive(Clone, Copy, Debug)]
 enum Search {
     /// A path leads nearer to the member, or it is not in its ball.
     Nearer,
-    /// None does; these places, as many as said, are all that is connected to where it began.
-    Separate([u32; SEARCHED], usize),
+    /// None does; what was seen is all that is connected to where it began.
+    Separate,
     /// It was too short.
     Unknown,
+}
+
+/// What searches for a group saw.
+#[derive(Debug)]
+struct Seen {
+    /// Places that the last search saw.
+    places: [u32; SEARCHED],
+    len: usize,
+    /// By place, a bit: whether it is one of them. Between searches all are 0.
+    bits: Vec<u64>,
+    /// How many places all of them looked at.
+    searched: usize,
+}
+
+impl Seen {
+    /// Whether the search has not seen a place yet.
+    #[inline(always)]
+    fn is_new(&self, place: u32) -> bool {
+        self.bits[place as usize / 64] >> (place % 64) & 1 == 0
+    }
+
+    #[inline(always)]
+    fn push(&mut self, place: u32) {
+        self.places[self.len] = place;
+        self.len += 1;
+        self.bits[place as usize / 64] |= 1 << (place % 64);
+    }
 }
 
 /// Which candidates count for a member.
@@ -111,6 +139,8 @@ pub(crate) struct Vicinity<'a, const LISTS: usize> {
     runs: Vec<Range<usize>>,
     /// Whether it is known without labels what is connected to each member.
     passed: bool,
+    /// Scratch memory of searches.
+    seen: Seen,
     /// Places of surfels in the ball of a member that are not connected to it, member by member.
     excluded: Vec<u32>,
     excluded_to: Vec<u32>,
@@ -197,6 +227,12 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
             hub: Hub::default(),
             runs: Vec::new(),
             passed: false,
+            seen: Seen {
+                places: [NONE; SEARCHED],
+                len: 0,
+                bits: vec![0; blocks.len().div_ceil(64)],
+                searched: 0,
+            },
             excluded: Vec::new(),
             excluded_to: Vec::new(),
             labels: None,
@@ -386,10 +422,14 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
     #[inline(always)]
     fn pass_members<L: Level>(&mut self) {
         self.passed = true;
-        let mut searched = 0;
         let most = self.most_work();
         self.excluded.clear();
         self.excluded_to.clear();
+        let mut seen = Seen {
+            bits: std::mem::take(&mut self.seen.bits),
+            searched: 0,
+            ..self.seen
+        };
         let n = self.hub.len.next_multiple_of(LANES);
         let k = [0, 1, 2].map(|a| self.hub.k[a][..n].as_chunks::<LANES>().0);
         let steps = [0, 1, 2, 3]
@@ -443,12 +483,12 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
                     if self.excluded[first..].contains(&place) {
                         continue;
                     }
-                    let found = self.search(place, self.members[number], &mut searched);
-                    known = searched <= most;
+                    let found = self.search(place, self.members[number], &mut seen);
+                    known = seen.searched <= most;
                     match found {
                         Search::Nearer => {}
-                        Search::Separate(places, count) => {
-                            self.excluded.extend_from_slice(&places[..count]);
+                        Search::Separate => {
+                            self.excluded.extend_from_slice(&seen.places[..seen.len]);
                         }
                         Search::Unknown => known = false,
                     }
@@ -464,46 +504,56 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
                 break;
             }
         }
+        self.seen = seen;
     }
 
     /// Looks for a path from a surfel, through others in the ball of a member, to one that is nearer to the member. Where
-    /// there is none, all that is connected to the surfel was seen, and is not connected to the member. Adds to
-    /// `searched` how many it looked at.
-    fn search(&self, from: u32, member: u32, searched: &mut usize) -> Search {
+    /// there is none, all that is connected to the surfel was seen, and is not connected to the member.
+    #[inline(always)]
+    fn search(&self, from: u32, member: u32, seen: &mut Seen) -> Search {
+        seen.len = 0;
+        seen.push(from);
+        let found = self.search_on(member, seen);
+        for &place in &seen.places[..seen.len] {
+            seen.bits[place as usize / 64] = 0;
+        }
+        found
+    }
+
+    /// The same, from the first place that was seen.
+    #[inline(always)]
+    fn search_on(&self, member: u32, seen: &mut Seen) -> Search {
         let centre = self.blocks.k_at(member as usize);
-        let squared = |place: u32| {
-            let d = displacement(self.blocks.k_at(place as usize), centre);
-            self.ball.metric.squared(d)
-        };
-        let least = squared(from);
+        let metric = self.ball.metric;
+        let k = self.blocks.k_at(seen.places[0] as usize);
+        let least = metric.squared(displacement(k, centre));
         if least > self.ball.limit {
             // it only seemed to be in the ball, in single precision
             return Search::Nearer;
         }
-        let mut seen = [from; SEARCHED];
-        let (mut next, mut end) = (0, 1);
-        while next < end {
-            *searched += 1;
+        let mut next = 0;
+        while next < seen.len {
+            seen.searched += 1;
             for side in &self.blocks.across {
-                let place = side[seen[next] as usize];
-                if place == NONE || seen[..end].contains(&place) {
+                let place = side[seen.places[next] as usize];
+                if place == NONE || !seen.is_new(place) {
                     continue;
                 }
-                let square = squared(place);
+                let k = self.blocks.k_at(place as usize);
+                let square = metric.squared(displacement(k, centre));
                 if square < least {
                     return Search::Nearer;
                 }
                 if square <= self.ball.limit {
-                    if end == self.most_searched {
+                    if seen.len == self.most_searched {
                         return Search::Unknown;
                     }
-                    seen[end] = place;
-                    end += 1;
+                    seen.push(place);
                 }
             }
             next += 1;
         }
-        Search::Separate(seen, end)
+        Search::Separate
     }
 
     /// Coordinates of a place as those of the candidates are.

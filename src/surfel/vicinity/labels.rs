@@ -21,16 +21,11 @@ const MOST_MEMBERS: usize = 3 * (EDGE * EDGE * EDGE) as usize;
 /// For each member a bit: whether a label is connected to it.
 type Column = [u64; MOST_MEMBERS.div_ceil(64)];
 
-/// Pairs of neighbours of different labels.
-#[derive(Clone, Debug, Default)]
-struct Edges {
-    len: usize,
-    /// Labels of both, padded.
-    labels: [Vec<u32>; 2],
-    /// Coordinates of both, padded.
-    k: [[Vec<f32>; 3]; 2],
-    /// For each edge, which of its sixteen have the same labels.
-    same: Vec<u16>,
+/// Labels of two neighbours, and the members whose balls both are in.
+#[derive(Clone, Copy, Debug)]
+struct Edge {
+    labels: [u32; 2],
+    members: Column,
 }
 
 /// Scratch memory of labelling.
@@ -45,14 +40,15 @@ pub(super) struct Labelling {
     places: Vec<u32>,
     /// Joins what is joined within the balls of all members, by number of the hub.
     parent: Vec<u32>,
-    /// By number of the hub: the label, [`NONE`] if no member reaches it; later, the class of it.
+    /// By number of the hub: the label; later, the class of it, [`NONE`] if no member reaches it.
     label: Vec<u32>,
     /// Neighbours of different labels that are not both in the core.
     pending: Vec<[u32; 2]>,
-    edges: Edges,
+    edges: Vec<Edge>,
     /// Labels of the members.
     of_members: Vec<u32>,
-    joined: Vec<u32>,
+    /// Coordinates of the members, padded.
+    centres: [Vec<f32>; 3],
     /// By label, which members are connected to it.
     columns: Vec<Column>,
     /// By label, what it is named at last.
@@ -61,41 +57,6 @@ pub(super) struct Labelling {
     mixed: Vec<u32>,
     /// The columns of the classes.
     classes: Vec<Column>,
-}
-
-impl Edges {
-    fn clear(&mut self) {
-        self.len = 0;
-        for list in &mut self.labels {
-            list.clear();
-        }
-        for list in self.k.iter_mut().flatten() {
-            list.clear();
-        }
-    }
-
-    /// Fills up to whole vectors, and finds which have the same labels.
-    #[inline(always)]
-    fn pad<L: Level>(&mut self) {
-        let end = self.len.next_multiple_of(LANES);
-        for list in &mut self.labels {
-            list.resize(end, NONE);
-        }
-        for list in self.k.iter_mut().flatten() {
-            list.resize(end, NOWHERE);
-        }
-        self.same.clear();
-        for from in (0..end).step_by(LANES) {
-            let (first, second) = (
-                sixteen(&self.labels[0], from),
-                sixteen(&self.labels[1], from),
-            );
-            for i in 0..LANES {
-                let same = L::and(L::equal(first, first[i]), L::equal(second, second[i]));
-                self.same.push(L::bits(same));
-            }
-        }
-    }
 }
 
 impl<const LISTS: usize> Vicinity<'_, LISTS> {
@@ -108,10 +69,10 @@ impl<const LISTS: usize> Vicinity<'_, LISTS> {
         self.descend::<L>();
         self.sink();
         self.join();
-        if self.name_labels() > 1 {
-            self.list_edges();
-            self.labelling.edges.pad::<L>();
-            self.reach_labels::<L, S>(squares);
+        let labels = self.name_labels();
+        if labels > 1 {
+            self.list_edges::<L, S>(squares);
+            self.reach_labels(labels);
             self.name_classes();
             self.sort_by_class::<L>();
         }
@@ -380,104 +341,86 @@ impl<const LISTS: usize> Vicinity<'_, LISTS> {
         labels as usize
     }
 
-    /// Lists the edges between labels that members can reach, and numbers only these.
-    fn list_edges(&mut self) {
-        let work = &mut self.labelling;
-        let count = 1 + *work.label.iter().max().expect("the hub is not empty");
-        work.joined.clear();
-        work.joined.extend(0..count);
-        for pair in &work.pending {
-            let [a, b] = pair.map(|p| work.label[(work.hub[p as usize] ^ HUB) as usize]);
-            unite(&mut work.joined, a, b);
-        }
-        work.class.clear();
-        work.class.resize(count as usize, NONE);
-        for &label in &work.of_members {
-            let root = find(&mut work.joined, label);
-            work.class[root as usize] = 0;
-        }
-        let mut reached = 0;
-        for label in 0..count {
-            let root = find(&mut work.joined, label);
-            // roots are the first of what they are joined to, so keep that they are reached
-            if work.class[root as usize] != NONE {
-                work.class[label as usize] = reached;
-                reached += 1;
-            }
-        }
-        for label in work.label.iter_mut().chain(&mut work.of_members) {
-            *label = work.class[*label as usize];
-        }
-        work.joined.truncate(reached as usize);
-        work.edges.clear();
-        for &pair in &work.pending {
-            let [a, b] = pair.map(|p| work.label[(work.hub[p as usize] ^ HUB) as usize]);
-            if a == b || a == NONE {
-                continue;
-            }
-            work.edges.len += 1;
-            work.edges.labels[0].push(a.min(b));
-            work.edges.labels[1].push(a.max(b));
-            for (lists, place) in work.edges.k.iter_mut().zip(pair) {
-                let k = self.blocks.k_at(place as usize);
-                for a in 0..3 {
-                    lists[a].push((i32::from(k[a]) - self.origin[a]) as f32);
-                }
-            }
-        }
-    }
-
-    /// Finds which labels are connected to each member.
+    /// Lists the edges between labels that are in the ball of some member.
     #[inline(always)]
-    fn reach_labels<L: Level, S: Squares>(&mut self, squares: S) {
+    fn list_edges<L: Level, S: Squares>(&mut self, squares: S) {
         let limit = self.ball.limit as f64;
         let mut work = std::mem::take(&mut self.labelling);
         let Labelling {
+            hub,
+            label,
+            pending,
             edges,
-            joined,
-            columns,
-            of_members,
+            centres,
             ..
         } = &mut work;
-        columns.clear();
-        columns.resize(joined.len(), Column::default());
-        for (number, &own) in of_members.iter().enumerate() {
-            let centre = self.relative(self.members[number] as usize);
-            let centre = [L::all(centre[0]), L::all(centre[1]), L::all(centre[2])];
-            for (label, joined) in joined.iter_mut().enumerate() {
-                *joined = label as u32;
+        for centres in centres.iter_mut() {
+            centres.clear();
+        }
+        for &member in &self.members {
+            let centre = self.relative(member as usize);
+            for a in 0..3 {
+                centres[a].push(centre[a]);
             }
-            for from in (0..edges.len).step_by(LANES) {
-                let same = sixteen(&edges.same, from);
-                let (first, second) = (
-                    sixteen(&edges.labels[0], from),
-                    sixteen(&edges.labels[1], from),
-                );
-                let mut inside = u16::MAX;
-                for k in &edges.k {
-                    let square = squares.of::<L>([
-                        L::sub(L::load(sixteen(&k[0], from)), centre[0]),
-                        L::sub(L::load(sixteen(&k[1], from)), centre[1]),
-                        L::sub(L::load(sixteen(&k[2], from)), centre[2]),
-                    ]);
-                    inside &= L::bits(S::at_most::<L>(square, limit));
-                }
-                while inside != 0 {
-                    let lane = inside.trailing_zeros() as usize;
-                    inside &= !same[lane];
-                    unite(joined, first[lane], second[lane]);
-                }
+        }
+        let padded = self.members.len().next_multiple_of(LANES);
+        for centres in centres.iter_mut() {
+            centres.resize(padded, NOWHERE);
+        }
+        edges.clear();
+        for &[one, other] in pending.iter() {
+            let labels = [
+                label[(hub[one as usize] ^ HUB) as usize],
+                label[(hub[other as usize] ^ HUB) as usize],
+            ];
+            if labels[0] == labels[1] {
+                continue;
             }
-            // What a label is joined to has a lower number.
-            for label in 0..joined.len() {
-                joined[label] = joined[joined[label] as usize];
+            let (p, q) = (self.relative(one as usize), self.relative(other as usize));
+            let p = [L::all(p[0]), L::all(p[1]), L::all(p[2])];
+            let q = [L::all(q[0]), L::all(q[1]), L::all(q[2])];
+            let mut members = Column::default();
+            let mut some = 0;
+            for from in (0..padded).step_by(LANES) {
+                let x = L::load(sixteen(&centres[0], from));
+                let y = L::load(sixteen(&centres[1], from));
+                let z = L::load(sixteen(&centres[2], from));
+                let to_p = squares.of::<L>([L::sub(p[0], x), L::sub(p[1], y), L::sub(p[2], z)]);
+                let to_q = squares.of::<L>([L::sub(q[0], x), L::sub(q[1], y), L::sub(q[2], z)]);
+                let inside = L::bits(L::and(
+                    S::at_most::<L>(to_p, limit),
+                    S::at_most::<L>(to_q, limit),
+                ));
+                some |= inside;
+                members[from / 64] |= u64::from(inside) << (from % 64);
             }
-            let own = joined[own as usize];
-            for (column, &joined) in columns.iter_mut().zip(joined.iter()) {
-                column[number / 64] |= u64::from(joined == own) << (number % 64);
+            if some != 0 {
+                edges.push(Edge { labels, members });
             }
         }
         self.labelling = work;
+    }
+
+    /// Finds which labels are connected to each member, for all members at once: a bit of a column goes over the edges
+    /// that have it.
+    #[inline(always)]
+    fn reach_labels(&mut self, labels: usize) {
+        let Labelling {
+            edges,
+            columns,
+            of_members,
+            ..
+        } = &mut self.labelling;
+        columns.clear();
+        columns.resize(labels, Column::default());
+        for (number, &own) in of_members.iter().enumerate() {
+            columns[own as usize][number / 64] |= 1 << (number % 64);
+        }
+        if of_members.len() <= 64 {
+            spread::<1>(edges, columns);
+        } else {
+            spread::<{ MOST_MEMBERS.div_ceil(64) }>(edges, columns);
+        }
     }
 
     /// Names labels: those that are connected to the same members have one name, 0 if that are all of them, and those
@@ -574,4 +517,34 @@ fn step_down(hub: &mut [u32], place: u32) -> bool {
     let to = hub[from as usize];
     hub[place as usize] = to;
     to < HUB
+}
+
+/// Carries the bits of columns over edges until nothing changes, of the first words of each: most groups have no more
+/// members than a word has bits.
+#[inline(always)]
+fn spread<const WORDS: usize>(edges: &[Edge], columns: &mut [Column]) {
+    // to and fro, since edges are about in the order of places
+    while spread_once::<WORDS>(edges.iter(), columns)
+        && spread_once::<WORDS>(edges.iter().rev(), columns)
+    {}
+}
+
+/// Carries the bits of columns over each edge once; whether any is new.
+#[inline(always)]
+fn spread_once<'a, const WORDS: usize>(
+    edges: impl Iterator<Item = &'a Edge>,
+    columns: &mut [Column],
+) -> bool {
+    let mut new = 0;
+    for edge in edges {
+        let [a, b] = [edge.labels[0] as usize, edge.labels[1] as usize];
+        for word in 0..WORDS {
+            let (of_a, of_b) = (columns[a][word], columns[b][word]);
+            let differ = (of_a ^ of_b) & edge.members[word];
+            columns[a][word] = of_a | differ;
+            columns[b][word] = of_b | differ;
+            new |= differ;
+        }
+    }
+    new != 0
 }
