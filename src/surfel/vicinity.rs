@@ -316,7 +316,7 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
         for number in run.start / LANES..run.end.div_ceil(LANES) {
             let chunk = &blocks.chunks[number];
             let from = number * LANES;
-            let (nearest, scaled) = self.from_members::<L>(chunk);
+            let (nearest, scaled) = self.beyond_members::<L>(chunk);
             let mut kept = L::bits(L::at_most(nearest, limit)) & lanes_of(&run, from);
             if kept == 0 {
                 continue;
@@ -363,7 +363,7 @@ impl<'a, const LISTS: usize> Vicinity<'a, LISTS> {
     /// Squared distances of a chunk from the box around the members, and displacements from its middle times the squared
     /// edges of a voxel.
     #[inline(always)]
-    fn from_members<L: Level>(&self, chunk: &Chunk) -> (L::F, [L::F; 3]) {
+    fn beyond_members<L: Level>(&self, chunk: &Chunk) -> (L::F, [L::F; 3]) {
         let zero = L::all(0.0);
         let mut nearest = zero;
         let mut scaled = [zero; 3];

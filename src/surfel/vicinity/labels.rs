@@ -105,7 +105,7 @@ impl<const LISTS: usize> Vicinity<'_, LISTS> {
             for number in run.start / LANES..run.end.div_ceil(LANES) {
                 let chunk = &blocks.chunks[number];
                 let from = number * LANES;
-                let (nearest, scaled) = self.from_members::<L>(chunk);
+                let (nearest, scaled) = self.beyond_members::<L>(chunk);
                 let mut kept = L::bits(L::at_most(nearest, limit)) & lanes_of(run, from);
                 if kept == 0 {
                     continue;
