@@ -68,6 +68,8 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod elementary;
+
 mod simd;
 
 pub mod error;

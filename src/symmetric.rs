@@ -146,8 +146,19 @@ pub fn eigenvector_near(m: &Symmetric, v: DVec3) -> Option<Near> {
 /// gain a factor of the square of this, and two of them shall reach the last bits.
 const SMALL_BESIDE_PENALTY: f64 = 1e-3;
 
+/// Eigenvectors found by [`beside_penalty`].
+#[derive(Clone, Copy, Debug)]
+pub struct BesidePenalty {
+    /// Whether the penalty is much larger than the matrix; otherwise the rest means nothing.
+    pub holds: bool,
+    /// Ascending.
+    pub values: [f64; 2],
+    /// Of unit length, signs arbitrary.
+    pub vectors: [DVec3; 2],
+}
+
 /// The eigenvalues of m - p u u^T other than the one near -p, ascending, and their unit eigenvectors, for a unit
-/// vector u and a penalty p much larger than m; `None` if it is not.
+/// vector u and a penalty p much larger than m.
 ///
 /// In a basis t of the plane across u, with the terms of m along it and along u,
 ///
@@ -157,57 +168,87 @@ const SMALL_BESIDE_PENALTY: f64 = 1e-3;
 /// ```
 ///
 /// where l on the left hardly matters: two steps from l of A find it.
+///
+/// There are no branches and no calls, so that a loop over many matrices becomes a loop over vectors of them.
+#[inline(always)]
 #[must_use]
-pub fn beside_penalty(m: &Symmetric, u: DVec3, p: f64) -> Option<([f64; 2], [DVec3; 2])> {
-    if !m
-        .terms()
-        .iter()
-        .all(|term| term.abs() <= SMALL_BESIDE_PENALTY * p)
-    {
-        return None;
-    }
+pub fn beside_penalty(m: &Symmetric, u: DVec3, p: f64) -> BesidePenalty {
+    let limit = SMALL_BESIDE_PENALTY * p;
+    let holds = (m.xx.abs() <= limit)
+        & (m.yy.abs() <= limit)
+        & (m.zz.abs() <= limit)
+        & (m.xy.abs() <= limit)
+        & (m.xz.abs() <= limit)
+        & (m.yz.abs() <= limit);
     let [t1, t2] = across(u);
-    let [m1, m2, mu] = [t1, t2, u].map(|v| m.times(v));
+    let (m1, m2, mu) = (m.times(t1), m.times(t2), m.times(u));
     let (a, b, d) = (t1.dot(m1), t1.dot(m2), t2.dot(m2));
     let (g1, g2, c) = (t1.dot(mu), t2.dot(mu), u.dot(mu));
-    let mut values = [0.0; 2];
-    let mut vectors = [DVec3::ZERO; 2];
-    for (i, side) in [-1.0, 1.0].into_iter().enumerate() {
-        // Half the trace, half the difference, and half the distance of the eigenvalues of
-        // A + g g^T / far, without and then with the last term.
-        let spread = |a: f64, b: f64, d: f64| {
-            let half = 0.5 * (a - d);
-            (0.5 * (a + d), half, (half * half + b * b).sqrt())
-        };
-        let (middle, mut half, mut root) = spread(a, b, d);
-        let mut value = middle + side * root;
-        let mut across = b;
-        for _ in 0..2 {
-            let far = 1.0 / (p + value - c);
-            let middle;
-            across = b + g1 * g2 * far;
-            (middle, half, root) = spread(a + g1 * g1 * far, across, d + g2 * g2 * far);
-            value = middle + side * root;
-        }
-        // Of the larger eigenvalue; without cancellation.
-        let (x, y) = if root == 0.0 {
-            (1.0, 0.0)
-        } else if half >= 0.0 {
-            (half + root, across)
-        } else {
-            (across, root - half)
-        };
-        let (x, y) = if side > 0.0 { (x, y) } else { (-y, x) };
-        let along = (g1 * x + g2 * y) / (p + value - c);
-        let vector = t1 * x + t2 * y + u * along;
-        values[i] = value;
-        vectors[i] = vector / vector.length();
+    let in_plane = InPlane {
+        basis: [t1, t2, u],
+        terms: [a, b, d],
+        beside: [g1, g2],
+        beyond: p - c,
+    };
+    let (smaller, larger) = (in_plane.eigen(-1.0), in_plane.eigen(1.0));
+    BesidePenalty {
+        holds,
+        values: [smaller.0, larger.0],
+        vectors: [smaller.1, larger.1],
     }
-    Some((values, vectors))
+}
+
+/// A matrix in a basis of two vectors across a penalty and one along it.
+struct InPlane {
+    basis: [DVec3; 3],
+    /// A: its terms 11, 12, 22.
+    terms: [f64; 3],
+    /// g.
+    beside: [f64; 2],
+    /// p - c.
+    beyond: f64,
+}
+
+impl InPlane {
+    /// The smaller (`side` -1) or larger (1) of the eigenvalues, and its unit eigenvector.
+    #[inline(always)]
+    fn eigen(&self, side: f64) -> (f64, DVec3) {
+        let [a, b, d] = self.terms;
+        let [g1, g2] = self.beside;
+        let (middle, _, root) = spread(a, b, d);
+        let value = middle + side * root;
+        let far = 1.0 / (self.beyond + value);
+        let (middle, _, root) = spread(a + g1 * g1 * far, b + g1 * g2 * far, d + g2 * g2 * far);
+        let value = middle + side * root;
+        let far = 1.0 / (self.beyond + value);
+        let across = b + g1 * g2 * far;
+        let (middle, half, root) = spread(a + g1 * g1 * far, across, d + g2 * g2 * far);
+        let value = middle + side * root;
+        // Of the larger eigenvalue; without cancellation.
+        let falls = half >= 0.0;
+        let x = if falls { half + root } else { across };
+        let y = if falls { across } else { root - half };
+        let x = if root == 0.0 { 1.0 } else { x };
+        let y = if root == 0.0 { 0.0 } else { y };
+        let (x, y) = if side > 0.0 { (x, y) } else { (-y, x) };
+        let along = (g1 * x + g2 * y) / (self.beyond + value);
+        let [t1, t2, u] = self.basis;
+        let vector = t1 * x + t2 * y + u * along;
+        (value, vector / vector.length())
+    }
+}
+
+/// Half the trace, half the difference, and half the distance of the eigenvalues of
+/// the matrix (a b), (b d).
+#[inline(always)]
+fn spread(a: f64, b: f64, d: f64) -> (f64, f64, f64) {
+    let half = 0.5 * (a - d);
+    (0.5 * (a + d), half, (half * half + b * b).sqrt())
 }
 
 /// Two unit vectors across a unit vector and each other. Duff and others, *Building an orthonormal
 /// basis, revisited* (2017).
+#[inline(always)]
 fn across(u: DVec3) -> [DVec3; 2] {
     let sign = 1f64.copysign(u.z);
     let a = -1.0 / (sign + u.z);
@@ -272,7 +313,22 @@ impl Symmetric {
         Self::from_terms([0, 1, 2, 3, 4, 5].map(|i| f(a[i], b[i])))
     }
 
+    /// This matrix times a number.
+    #[inline(always)]
+    #[must_use]
+    pub(crate) fn scaled(&self, x: f64) -> Self {
+        Self {
+            xx: self.xx * x,
+            yy: self.yy * x,
+            zz: self.zz * x,
+            xy: self.xy * x,
+            xz: self.xz * x,
+            yz: self.yz * x,
+        }
+    }
+
     /// This matrix times a vector.
+    #[inline(always)]
     #[must_use]
     pub fn times(&self, v: DVec3) -> DVec3 {
         DVec3::new(
@@ -365,7 +421,12 @@ mod tests {
             let size = [1.0, 1e-3, 1e-9][n % 3];
             let m = Symmetric::from_terms([0; 6].map(|_| size * random()));
             let u = DVec3::new(random(), random(), random()).normalize();
-            let (values, vectors) = beside_penalty(&m, u, 1000.0).unwrap();
+            let BesidePenalty {
+                holds,
+                values,
+                vectors,
+            } = beside_penalty(&m, u, 1000.0);
+            assert!(holds);
             let penalised = m.zip(&Symmetric::outer(u, u), |m, uu| m - 1000.0 * uu);
             let e = eigen(&penalised);
             assert!(values[0] <= values[1]);
@@ -392,8 +453,10 @@ mod tests {
                     zz: value,
                     ..Default::default()
                 };
-                let (values, [d1, d2]) = beside_penalty(&m, u, 1000.0).unwrap();
-                assert_eq!(values, [value; 2]);
+                let found = beside_penalty(&m, u, 1000.0);
+                let [d1, d2] = found.vectors;
+                assert!(found.holds);
+                assert_eq!(found.values, [value; 2]);
                 assert_eq!([d1.length(), d2.length(), d1.dot(d2)], [1.0, 1.0, 0.0]);
                 assert_eq!([d1.dot(u), d2.dot(u)], [0.0; 2]);
             }
@@ -402,7 +465,12 @@ mod tests {
             xx: 2.0,
             ..Default::default()
         };
-        assert!(beside_penalty(&large, DVec3::Z, 1000.0).is_none());
+        assert!(!beside_penalty(&large, DVec3::Z, 1000.0).holds);
+        let nothing = Symmetric {
+            xy: f64::NAN,
+            ..Default::default()
+        };
+        assert!(!beside_penalty(&nothing, DVec3::Z, 1000.0).holds);
     }
 
     #[test]

@@ -17,13 +17,16 @@
 //! Guaranteed: k1 <= k2; directions are unit vectors, up to sign. Not guaranteed: a meaning of the
 //! directions at umbilics, where k1 = k2.
 
+mod block;
 pub mod integral;
 pub mod uncertainty;
+
+pub(crate) use block::CurvatureBlock;
 
 use glam::DVec3;
 
 use crate::measure::ball::BallSums;
-use crate::symmetric::{Symmetric, beside_penalty, eigen};
+use crate::symmetric::{BesidePenalty, Symmetric, beside_penalty, eigen};
 
 /// Penalty on the normal direction. Much smaller, and the normal part of the tensor mixes with
 /// the principal directions; much larger, and rounding of the eigenvalues shows. DGtal's value.
@@ -89,12 +92,35 @@ impl Curvature {
         if mu0 <= 0.0 {
             return None;
         }
+        let (mut found, holds) = Self::by_penalty(mu0, tensor, mu2, omega, u, unit_world);
+        if !holds {
+            let (k, d) = principal_by_jacobi(&tensor.scaled(1.0 / mu0), u);
+            let per_length = 1.0 / unit_world;
+            (found.k1, found.k2) = (k[0] * per_length, k[1] * per_length);
+            [found.d1, found.d2] = d;
+        }
+        Some(found)
+    }
+
+    /// The same, without branches, and whether the principal curvatures are small against the penalty: otherwise they and
+    /// their directions mean nothing. Nothing means anything where mu0 is not positive.
+    #[inline(always)]
+    fn by_penalty(
+        mu0: f64,
+        tensor: &Symmetric,
+        mu2: f64,
+        omega: f64,
+        u: DVec3,
+        unit_world: f64,
+    ) -> (Self, bool) {
         let (per_length, per_area) = (1.0 / unit_world, 1.0 / mu0);
-        let shape = Symmetric::from_terms(tensor.terms().map(|term| term * per_area));
-        let ([k1, k2], [d1, d2]) = beside_penalty(&shape, u, NORMAL_PENALTY)
-            .unwrap_or_else(|| principal_by_jacobi(&shape, u));
+        let BesidePenalty {
+            holds,
+            values: [k1, k2],
+            vectors: [d1, d2],
+        } = beside_penalty(&tensor.scaled(per_area), u, NORMAL_PENALTY);
         let mu1 = tensor.xx + tensor.yy + tensor.zz;
-        Some(Self {
+        let found = Self {
             mean: 0.5 * mu1 * per_area * per_length,
             gaussian: mu2 * per_area * per_length * per_length,
             k1: k1 * per_length,
@@ -102,7 +128,8 @@ impl Curvature {
             d1,
             d2,
             quality: omega * per_area * per_length,
-        })
+        };
+        (found, holds)
     }
 }
 

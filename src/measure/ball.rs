@@ -51,9 +51,10 @@ use crate::symmetric::Symmetric;
 use super::cells::{Keep, mark};
 use super::field::Field;
 use super::fixed;
-use super::grouped::{self, Falloff, GroupSums};
+use super::grouped::{self, Falloff, GroupBlock};
 pub use super::local::LocalMeasures;
 use super::local::{LocalCells, NONE};
+use super::mixture::{Mixture, SumsBlock};
 use super::surface::Surface;
 
 /// Which part of the surface in the ball is summed.
@@ -185,14 +186,6 @@ pub struct Evidence {
     pub ridges: f64,
 }
 
-impl BallSums {
-    /// Whether the surface is taken for noise, in part at least.
-    #[must_use]
-    pub fn is_rough(&self) -> bool {
-        (self.evidence).is_some_and(|evidence| evidence.ridges > NOISY_SHARE[0])
-    }
-}
-
 /// A row of cells in the ball around a surfel of one kind, relative to its cell.
 #[derive(Clone, Copy, Debug)]
 struct BallRow {
@@ -218,19 +211,21 @@ pub struct BallKernel {
     rows: [Vec<BallRow>; 3],
 }
 
-/// The sums around each of some surfels.
+/// Gives `receive` the sums around each of some surfels.
 struct SumsOf<'a> {
     kernel: &'a BallKernel,
     surface: &'a Surface,
     measures: &'a LocalMeasures,
     starts: &'a [usize],
+    receive: &'a mut dyn FnMut(&SumsBlock),
 }
 
 impl Work for SumsOf<'_> {
-    type Output = Vec<BallSums>;
+    type Output = ();
 
     #[inline(always)]
-    fn run<L: Level>(self) -> Vec<BallSums> {
+    fn run<L: Level>(self) {
+        let mut block = SumsBlock::new();
         if let Some(falloff) = self.kernel.falloff(self.measures) {
             let task = grouped::Task {
                 surface: self.surface,
@@ -242,18 +237,22 @@ impl Work for SumsOf<'_> {
                 marks: &self.measures.marks,
                 starts: self.starts,
             };
-            return grouped::sum::<L, _>(&task, |sums| self.kernel.of_group(sums, falloff));
+            let mut receive = |sums: &GroupBlock| {
+                dispatch(self.kernel.mixture(sums, falloff, &mut block));
+                (self.receive)(&block);
+            };
+            grouped::sum::<L>(&task, &mut receive);
+            return;
         }
         let mut scratch = BallScratch::default();
         // A loop and not an iterator: what an adapter calls is compiled for the baseline.
-        let mut sums = Vec::with_capacity(self.starts.len());
-        for &start in self.starts {
-            sums.push(
-                self.kernel
-                    .sum(self.surface, self.measures, start, &mut scratch),
-            );
+        for (number, &start) in self.starts.iter().enumerate() {
+            let sums = self
+                .kernel
+                .sum(self.surface, self.measures, start, &mut scratch);
+            block.set(number, &sums);
+            (self.receive)(&block);
         }
-        sums
     }
 }
 
@@ -352,12 +351,34 @@ impl BallKernel {
         measures: &LocalMeasures,
         starts: &[usize],
     ) -> Vec<BallSums> {
+        let mut sums = vec![None; starts.len()];
+        self.for_each_block(surface, measures, starts, &mut |block| {
+            for at in 0..block.count {
+                sums[block.number[at] as usize] = Some(block.sums(at));
+            }
+        });
+        sums.into_iter().flatten().collect()
+    }
+
+    /// Gives `receive` the sums around some surfels of the surface, which must cover their reach, in
+    /// no particular order.
+    ///
+    /// # Panics
+    /// As [`Self::sums`].
+    pub(crate) fn for_each_block(
+        &self,
+        surface: &Surface,
+        measures: &LocalMeasures,
+        starts: &[usize],
+        receive: &mut dyn FnMut(&SumsBlock),
+    ) {
         dispatch(SumsOf {
             kernel: self,
             surface,
             measures,
             starts,
-        })
+            receive,
+        });
     }
 
     #[inline(always)]
@@ -466,79 +487,23 @@ impl BallKernel {
         }
     }
 
-    /// From sums over a group.
-    fn of_group(&self, sums: &GroupSums, falloff: Falloff) -> BallSums {
-        // a power of two, so this is exact
-        let per_unit = 1.0 / falloff.unit();
-        let mut measures = sums.measures;
-        for x in measures.as_flattened_mut() {
-            *x *= per_unit;
-        }
-        let omega = [sums.omega[0] * per_unit, sums.omega[1] * per_unit];
-        let (x, omega, evidence) = match self.weights {
-            Weights::Compensated(of) => {
-                let ridges = f64::from(sums.ridges) / f64::from(sums.count.max(1));
-                let (x, omega, evidence) = self.compensated(of, &measures, omega, ridges);
-                (x, omega, Some(evidence))
-            }
-            _ => (measures[0], omega[0], None),
-        };
-        BallSums {
-            mu0: x[0] / fixed::ONE,
-            tensor: Symmetric::from_terms([1, 2, 3, 4, 5, 6].map(|t| x[t] / fixed::ONE)),
-            mu2: x[7] * fixed::LUMPED_SOLID_ANGLE,
-            omega: omega / fixed::ONE,
-            rim: sums.rim,
-            several_sheets: sums.several_sheets,
-            cut: sums.near_cut,
-            evidence,
-        }
-    }
-
-    /// The mixture of the sums with both weights of [`Weights::Compensated`].
-    fn compensated(
+    /// What the weights make of sums over groups.
+    fn mixture<'a>(
         &self,
-        of: Compensation,
-        sums: &[[f64; 8]; 2],
-        omega: [f64; 2],
-        ridges: f64,
-    ) -> ([f64; 8], f64, Evidence) {
-        let per_squared = [of.support(), ROBUST_WIDENING].map(|radii| {
-            let support = radii * self.radius;
-            1.0 / (support * support)
-        });
-        // The weights of a plane: 1/6 and 1/2 of the discs.
-        let per_area = [6.0 * per_squared[0], 2.0 * per_squared[1]];
-        let area = [0, 1].map(|i| sums[i][0] * per_area[i]);
-        let noisy = rise(ridges, NOISY_SHARE);
-        let eaten = if area[1] > 0.0 {
-            1.0 - rise(area[0] / area[1], EATEN_AREA)
-        } else {
-            1.0
-        };
-        // How much the two ways differ, in units of what the staircase makes them differ.
-        let (mut squares, mut trace) = (0.0, 0.0);
-        for term in 1..7 {
-            let [a, b] = sums.map(|sum| sum[term] / sum[0]);
-            let twice = if term > 3 { 2.0 } else { 1.0 };
-            squares += twice * (a - b) * (a - b);
-            trace += if term > 3 { 0.0 } else { a - b };
+        sums: &'a GroupBlock,
+        falloff: Falloff,
+        to: &'a mut SumsBlock,
+    ) -> Mixture<'a> {
+        Mixture {
+            of: match self.weights {
+                Weights::Compensated(of) => Some(of),
+                _ => None,
+            },
+            radius: self.radius,
+            unit: falloff.unit(),
+            sums,
+            to,
         }
-        let evidence = Evidence {
-            compensation: of,
-            difference: squares.sqrt(),
-            mean_difference: 0.5 * trace,
-            ridges,
-        };
-        let contrast = evidence.difference * self.radius * self.radius * self.radius;
-        let alike = 1.0 - rise(contrast, of.contrast());
-        let robust = noisy.max(eaten).max(alike);
-        let parts = [(1.0 - robust) * per_area[0], robust * per_area[1]];
-        // in units of the area of the smaller disc, for sums of the usual size
-        let unit = 1.0 / per_area[0];
-        let mix = |a: f64, b: f64| (a * parts[0] + b * parts[1]) * unit;
-        let x: [f64; 8] = std::array::from_fn(|i| mix(sums[0][i], sums[1][i]));
-        (x, mix(omega[0], omega[1]), evidence)
     }
 
     fn sum_sharp(
@@ -726,6 +691,7 @@ impl BallKernel {
 }
 
 /// 0 below a range, 1 above it, and smooth between.
+#[inline(always)]
 pub(crate) fn rise(x: f64, [from, to]: [f64; 2]) -> f64 {
     // not clamp: of what is no number it is 0
     let s = if x > from {

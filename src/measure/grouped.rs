@@ -1,7 +1,7 @@
 //! Sums of lumped measures over the balls around groups of surfels.
 //!
 //! Comes in: the surface of a box, lumped measures, which surfels are asked for. Goes out: for each the
-//! sums of weight times measure over C(p) or W(p), as integers.
+//! sums of weight times measure over C(p) or W(p), as integers, in blocks ([`GroupBlock`]).
 //!
 //! Surfels of one block share their [`Vicinity`]. Of each of them against each candidate a loop over
 //! vectors computes the weights; then the eight measures of a candidate, which are one vector or two or four, are multiplied by the weights
@@ -19,6 +19,7 @@ use crate::surfel::{Blocks, Rim};
 use super::ball::Extent;
 use super::cells::{Lumped, mark};
 use super::fixed;
+use super::mixture::{Each, TOGETHER};
 use super::surface::Surface;
 
 /// A weight of 1.
@@ -53,18 +54,39 @@ pub(super) struct Task<'a> {
     pub(super) starts: &'a [usize],
 }
 
-/// Sums around one surfel, of weight times measure, by weight, rounded once; see [`Falloff::unit`].
-#[derive(Clone, Copy, Debug)]
-pub(super) struct GroupSums {
-    pub(super) measures: [[f64; 8]; 2],
-    pub(super) omega: [f64; 2],
-    pub(super) rim: Rim,
-    pub(super) several_sheets: bool,
+/// Sums around up to [`TOGETHER`] surfels, of weight times measure, by weight and measure, rounded once; see [`Falloff::unit`].
+/// What follows the first `count` means nothing.
+#[derive(Clone, Debug)]
+pub(super) struct GroupBlock {
+    pub(super) count: usize,
+    /// Which of the surfels asked for it is.
+    pub(super) number: Each<u32>,
+    pub(super) measures: [[Each<f64>; 8]; 2],
+    pub(super) omega: [Each<f64>; 2],
+    pub(super) rim: Each<Rim>,
+    pub(super) several_sheets: Each<bool>,
     /// Some surfel that was summed is [`mark::NEAR_CUT`].
-    pub(super) near_cut: bool,
-    /// Of what was summed, how many, and how many of these are ridges.
-    pub(super) count: u32,
-    pub(super) ridges: u32,
+    pub(super) near_cut: Each<bool>,
+    /// How many were summed, at least 1, and how many of these are ridges.
+    pub(super) summed: Each<f64>,
+    pub(super) ridges: Each<f64>,
+}
+
+impl GroupBlock {
+    /// Nothing.
+    pub(super) fn new() -> Self {
+        Self {
+            count: 0,
+            number: [0; TOGETHER],
+            measures: [[[0.0; TOGETHER]; 8]; 2],
+            omega: [[0.0; TOGETHER]; 2],
+            rim: [Rim::CLOSED; TOGETHER],
+            several_sheets: [false; TOGETHER],
+            near_cut: [false; TOGETHER],
+            summed: [1.0; TOGETHER],
+            ridges: [0.0; TOGETHER],
+        }
+    }
 }
 
 /// Added and taken away again, it leaves the nearest integer, halves to even.
@@ -83,9 +105,12 @@ impl Falloff {
     }
 }
 
-/// What `finish` makes of the sums around each surfel that is asked for.
+/// Gives `receive` the sums around all surfels that are asked for, in no particular order.
+///
+/// # Panics
+/// If a surfel is asked for twice.
 #[inline(always)]
-pub(super) fn sum<L: Level, T: Copy>(task: &Task<'_>, finish: impl Fn(&GroupSums) -> T) -> Vec<T> {
+pub(super) fn sum<L: Level>(task: &Task<'_>, receive: &mut dyn FnMut(&GroupBlock)) {
     let surface = task.surface;
     let blocks = Blocks::sort(
         surface.index.cells().size(),
@@ -93,9 +118,9 @@ pub(super) fn sum<L: Level, T: Copy>(task: &Task<'_>, finish: impl Fn(&GroupSums
         &surface.links,
     );
     if task.ball.metric.is_cubic() {
-        Sums::new(task, &blocks, Cubes).run::<L, T>(finish)
+        Sums::new(task, &blocks, Cubes).run::<L>(receive);
     } else {
-        Sums::new(task, &blocks, Boxes::of_ball(task.ball)).run::<L, T>(finish)
+        Sums::new(task, &blocks, Boxes::of_ball(task.ball)).run::<L>(receive);
     }
 }
 
@@ -182,9 +207,10 @@ impl<'a, S: Squares> Sums<'a, S> {
     }
 
     #[inline(always)]
-    fn run<L: Level, T: Copy>(&self, finish: impl Fn(&GroupSums) -> T) -> Vec<T> {
+    fn run<L: Level>(&self, receive: &mut dyn FnMut(&GroupBlock)) {
         let task = self.task;
-        let mut sums: Vec<Option<T>> = vec![None; task.starts.len()];
+        let mut missing = task.starts.len();
+        let mut block = GroupBlock::new();
         let mut number = vec![u32::MAX; self.blocks.len()];
         for (n, &start) in task.starts.iter().enumerate() {
             number[self.blocks.place(start)] = n as u32;
@@ -209,13 +235,16 @@ impl<'a, S: Squares> Sums<'a, S> {
                 _ => self.add::<L, 1, 2>(&vicinity, &mut buffers),
             }
             for (m, &place) in members.iter().enumerate() {
-                let of_member = self.finished(&vicinity, m, &buffers.members[m]);
-                sums[number[place as usize] as usize] = Some(finish(&of_member));
+                block.number[block.count] = number[place as usize];
+                self.finish(&vicinity, m, &buffers.members[m], &mut block);
+                missing -= 1;
+                if block.count == TOGETHER || missing == 0 {
+                    receive(&block);
+                    block.count = 0;
+                }
             }
         }
-        let sums = sums.into_iter();
-        sums.map(|sums| sums.expect("each start is in one group, once"))
-            .collect()
+        assert_eq!(missing, 0, "each start is in one group, once");
     }
 
     /// The sums around all members, with `K` weights, `P` members at once. The last one is taken again until
@@ -353,32 +382,41 @@ impl<'a, S: Squares> Sums<'a, S> {
         }
     }
 
-    /// What was summed around a member.
-    fn finished(&self, vicinity: &Vicinity<'_, 2>, m: usize, member: &Member) -> GroupSums {
+    /// Appends what was summed around a member to a block.
+    #[inline(always)]
+    fn finish(
+        &self,
+        vicinity: &Vicinity<'_, 2>,
+        m: usize,
+        member: &Member,
+        block: &mut GroupBlock,
+    ) {
+        let at = block.count;
+        block.count += 1;
         let c = &member.counts;
-        let (near_cut, count, ridges) = match self.task.extent {
+        let (near_cut, summed, ridges) = match self.task.extent {
             Extent::Whole => (c.near_cut_in_ball, c.in_ball, c.ridges_in_ball),
             Extent::Connected => (c.near_cut, c.connected, c.ridges),
         };
-        let mut measures = member.sums;
+        for k in 0..2 {
+            for t in 0..8 {
+                block.measures[k][t][at] = member.sums[k][t];
+            }
+            block.omega[k][at] = fixed::number(member.omega[k]);
+        }
         if member.is_wide {
-            for (to, wide) in measures
-                .iter_mut()
-                .flatten()
-                .zip(member.wide.as_flattened())
-            {
-                *to = fixed::number(wide + i128::from(*to as i64));
+            for k in 0..2 {
+                for t in 0..8 {
+                    let sum = member.wide[k][t] + i128::from(member.sums[k][t] as i64);
+                    block.measures[k][t][at] = fixed::number(sum);
+                }
             }
         }
-        GroupSums {
-            measures,
-            omega: member.omega.map(fixed::number),
-            rim: vicinity.rim(m, c.connected, c.open > 0),
-            several_sheets: c.in_ball > c.connected,
-            near_cut: near_cut > 0,
-            count,
-            ridges,
-        }
+        block.rim[at] = vicinity.rim(m, c.connected, c.open > 0);
+        block.several_sheets[at] = c.in_ball > c.connected;
+        block.near_cut[at] = near_cut > 0;
+        block.summed[at] = f64::from(summed.max(1));
+        block.ridges[at] = f64::from(ridges);
     }
 
     /// Whether any of some candidates that do not count is in the ball.

@@ -25,6 +25,7 @@ pub mod formula;
 mod grouped;
 mod linels;
 mod local;
+pub(crate) mod mixture;
 pub mod patch;
 pub mod surface;
 

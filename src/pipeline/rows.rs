@@ -4,12 +4,13 @@ use std::ops::Range;
 
 use glam::DVec3;
 
-use crate::curvature::uncertainty::{self, ErrorKind};
-use crate::curvature::{Curvature, upward};
+use crate::curvature::uncertainty::{Bars, ErrorKind};
+use crate::curvature::{CurvatureBlock, upward};
 use crate::khalimsky::{OrientedSurfel, sign};
-use crate::measure::ball::{BallSums, Evidence, LocalMeasures};
-use crate::measure::cells::{CellMeasures, extend, mark};
+use crate::measure::ball::{BallKernel, LocalMeasures, NOISY_SHARE};
+use crate::measure::cells::{CellMeasures, mark};
 use crate::measure::fixed;
+use crate::measure::mixture::{SumsBlock, TOGETHER};
 use crate::measure::surface::Surface;
 use crate::normal::Estimator;
 use crate::normal::refine::FIRST_RADIUS;
@@ -23,14 +24,8 @@ use super::shared::Shared;
 #[derive(Debug, Default)]
 pub(super) struct BrickRows {
     surfels: Vec<SurfelRow>,
-    /// For each radius, one a surfel.
-    curvatures: Vec<Vec<CurvatureRow>>,
-    /// The same of d1 and d2; empty unless they are wanted.
-    directions: Vec<Vec<[[f32; 3]; 2]>>,
-    /// The same of the errors to expect of H and G.
-    errors: Vec<Vec<[f32; 2]>>,
-    /// The same of mu_Omega / mu0.
-    quality: Vec<Vec<f32>>,
+    /// For each radius.
+    curvatures: Vec<CurvatureColumns>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -39,12 +34,6 @@ struct SurfelRow {
     side: i8,
     normal: [f32; 3],
     area: f32,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct CurvatureRow {
-    values: [f32; 4],
-    flags: FlagSet,
 }
 
 /// What is known of some consecutive surfels of a brick.
@@ -112,7 +101,6 @@ impl BrickRows {
         own: &Own<'_>,
     ) -> Self {
         let (u, marks) = (own.u(), own.marks());
-        let unit = shared.lattice.voxel_unit_world();
         let cores: Vec<usize> = (0..surface.len())
             .filter(|&i| core.contains(surface.surfels.oriented(i).cell()))
             .collect();
@@ -125,43 +113,9 @@ impl BrickRows {
             ..Default::default()
         };
         for ball in &shared.kernels.balls {
-            let radius_world = ball.radius() * unit;
-            let mut curvatures = Vec::with_capacity(u.len());
-            let mut principal = Vec::new();
-            let mut errors = Vec::new();
-            let mut quality = Vec::new();
-            for (number, sums) in ball.sums(surface, measures, &cores).iter().enumerate() {
-                let curvature = Curvature::from_sums(sums, u[number], unit);
-                let values = curvature.map_or([f32::NAN; 4], |c| {
-                    [c.mean, c.gaussian, c.k1, c.k2].map(|x| x as f32)
-                });
-                let flags = flags(sums, marks[number], curvature.as_ref(), radius_world);
-                curvatures.push(CurvatureRow { values, flags });
-                if shared.settings.gives_errors() {
-                    // Islands and surfels without a normal of their own are no part of a surface whose curvature could be missed.
-                    let of_no_surface = Flag::Island.bit() | Flag::DegenerateNormal.bit();
-                    let bars = curvature
-                        .zip(sums.evidence.filter(|_| flags & of_no_surface == 0))
-                        .map(|(c, evidence)| error_bars(shared, &evidence, &c, ball.radius()));
-                    errors.push(bars.map_or([f32::NAN; 2], |bars| bars.map(short)));
-                }
-                if shared.settings.directions {
-                    principal.push(directions(shared, curvature.as_ref()));
-                }
-                if shared.settings.quality {
-                    quality.push(curvature.map_or(f32::NAN, |c| quality_in_world(shared, &c)));
-                }
-            }
-            rows.curvatures.push(curvatures);
-            if shared.settings.directions {
-                rows.directions.push(principal);
-            }
-            if shared.settings.gives_errors() {
-                rows.errors.push(errors);
-            }
-            if shared.settings.quality {
-                rows.quality.push(quality);
-            }
+            let mut filled = Filled::new(shared, ball, u, marks);
+            ball.for_each_block(surface, measures, &cores, &mut |sums| filled.put(sums));
+            rows.curvatures.push(filled.columns);
         }
         rows
     }
@@ -183,25 +137,24 @@ impl BrickRows {
         for kernel in &shared.kernels.invariants {
             let radius_world = kernel.radius() * unit;
             let found = kernel.curvatures(voxels, shared.lattice, core, surfels);
-            let curvatures = found.iter().zip(own.marks()).map(|((c, cut), &marks)| {
-                let mut flags = mark_flags(marks) | curvature_flags(Some(c), radius_world);
-                if *cut || marks & mark::CUT != 0 {
-                    flags |= Flag::Border.bit();
+            let mut columns = blank_columns(shared, found.len());
+            for (row, ((c, cut), &marks)) in found.iter().zip(own.marks()).enumerate() {
+                columns.mean[row] = c.mean as f32;
+                columns.gaussian[row] = c.gaussian as f32;
+                columns.k1[row] = c.k1 as f32;
+                columns.k2[row] = c.k2 as f32;
+                columns.flags[row] = mark_flags(marks)
+                    | curvature_flags(false, [c.k1, c.k2], radius_world)
+                    | flag(*cut || marks & mark::CUT != 0, Flag::Border);
+                if shared.settings.directions {
+                    put_direction(&mut columns.d1, row, shared, c.d1);
+                    put_direction(&mut columns.d2, row, shared, c.d2);
                 }
-                CurvatureRow {
-                    values: [c.mean, c.gaussian, c.k1, c.k2].map(|x| x as f32),
-                    flags,
+                if shared.settings.quality {
+                    columns.quality[row] = quality_in_world(shared, c.quality);
                 }
-            });
-            rows.curvatures.push(curvatures.collect());
-            if shared.settings.directions {
-                let principal = found.iter().map(|(c, _)| directions(shared, Some(c)));
-                rows.directions.push(principal.collect());
             }
-            if shared.settings.quality {
-                let quality = found.iter().map(|(c, _)| quality_in_world(shared, c));
-                rows.quality.push(quality.collect());
-            }
+            rows.curvatures.push(columns);
         }
         rows
     }
@@ -212,16 +165,11 @@ impl BrickRows {
             *self = next;
             return;
         }
-        fn each<T>(to: &mut [Vec<T>], next: Vec<Vec<T>>) {
-            for (to, next) in to.iter_mut().zip(next) {
-                extend(to, next);
-            }
+        self.surfels.reserve_exact(next.surfels.len());
+        self.surfels.extend(next.surfels);
+        for (to, next) in self.curvatures.iter_mut().zip(&next.curvatures) {
+            extend(to, next, 0..next.flags.len());
         }
-        extend(&mut self.surfels, next.surfels);
-        each(&mut self.curvatures, next.curvatures);
-        each(&mut self.directions, next.directions);
-        each(&mut self.errors, next.errors);
-        each(&mut self.quality, next.quality);
     }
 
     /// Appends the rows `run` to a batch.
@@ -241,52 +189,162 @@ impl BrickRows {
             batch.side.push(row.side);
             batch.area.push(row.area);
         }
-        for (rows, columns) in self.curvatures.iter().zip(&mut batch.curvatures) {
-            for row in &rows[run.clone()] {
-                columns.mean.push(row.values[0]);
-                columns.gaussian.push(row.values[1]);
-                columns.k1.push(row.values[2]);
-                columns.k2.push(row.values[3]);
-                columns.flags.push(row.flags);
-            }
-        }
-        for (directions, columns) in self.directions.iter().zip(&mut batch.curvatures) {
-            for [d1, d2] in &directions[run.clone()] {
-                for a in 0..3 {
-                    columns.d1[a].push(d1[a]);
-                    columns.d2[a].push(d2[a]);
-                }
-            }
-        }
-        for (errors, columns) in self.errors.iter().zip(&mut batch.curvatures) {
-            for [mean, gaussian] in &errors[run.clone()] {
-                columns.mean_error.push(*mean);
-                columns.gaussian_error.push(*gaussian);
-            }
-        }
-        for (quality, columns) in self.quality.iter().zip(&mut batch.curvatures) {
-            columns.quality.extend_from_slice(&quality[run.clone()]);
+        for (from, to) in self.curvatures.iter().zip(&mut batch.curvatures) {
+            extend(to, from, run.clone());
         }
     }
 }
 
-/// What the columns of errors hold, in world units.
-fn error_bars(
-    shared: &Shared<'_>,
-    evidence: &Evidence,
-    curvature: &Curvature,
-    radius: f64,
-) -> [f64; 2] {
-    let settings = shared.settings;
-    let of_normals = match (settings.refinement, settings.estimator) {
-        (Some(radius), _) => radius,
-        (None, Estimator::SurfaceAverage { radius }) => radius / FIRST_RADIUS,
-        _ => radius,
+/// Appends some rows of columns to others, which hold the same.
+fn extend(to: &mut CurvatureColumns, from: &CurvatureColumns, run: Range<usize>) {
+    let of = |to: &mut Vec<f32>, from: &[f32]| {
+        if !from.is_empty() {
+            // rows of a brick are held for long, and batches have the room
+            to.reserve_exact(run.len());
+            to.extend_from_slice(&from[run.clone()]);
+        }
     };
-    let unit = shared.lattice.voxel_unit_world();
-    match settings.error_kind {
-        ErrorKind::Bars => uncertainty::error_bars(evidence, curvature, radius, of_normals, unit),
-        ErrorKind::Differences => [evidence.mean_difference.abs() / unit, f64::NAN],
+    of(&mut to.mean, &from.mean);
+    of(&mut to.gaussian, &from.gaussian);
+    of(&mut to.k1, &from.k1);
+    of(&mut to.k2, &from.k2);
+    of(&mut to.mean_error, &from.mean_error);
+    of(&mut to.gaussian_error, &from.gaussian_error);
+    of(&mut to.quality, &from.quality);
+    for a in 0..3 {
+        of(&mut to.d1[a], &from.d1[a]);
+        of(&mut to.d2[a], &from.d2[a]);
+    }
+    to.flags.reserve_exact(run.len());
+    to.flags.extend_from_slice(&from.flags[run.clone()]);
+}
+
+/// Columns of `count` rows to be filled.
+fn blank_columns(shared: &Shared<'_>, count: usize) -> CurvatureColumns {
+    let floats = |asked: bool| vec![f32::NAN; if asked { count } else { 0 }];
+    let settings = shared.settings;
+    let triple = || [(); 3].map(|()| floats(settings.directions));
+    CurvatureColumns {
+        mean: floats(true),
+        gaussian: floats(true),
+        mean_error: floats(settings.gives_errors()),
+        gaussian_error: floats(settings.gives_errors()),
+        k1: floats(true),
+        k2: floats(true),
+        d1: triple(),
+        d2: triple(),
+        quality: floats(settings.quality),
+        flags: vec![0; count],
+    }
+}
+
+/// Columns of one radius, filled block by block.
+struct Filled<'a> {
+    shared: &'a Shared<'a>,
+    /// Of each row.
+    u: &'a [DVec3],
+    marks: &'a [u8],
+    bars: Bars,
+    /// Of the block at hand.
+    curvatures: CurvatureBlock,
+    errors: [[f64; TOGETHER]; 2],
+    columns: CurvatureColumns,
+}
+
+impl<'a> Filled<'a> {
+    fn new(shared: &'a Shared<'a>, ball: &BallKernel, u: &'a [DVec3], marks: &'a [u8]) -> Self {
+        let settings = shared.settings;
+        Self {
+            shared,
+            u,
+            marks,
+            bars: Bars {
+                radius: ball.radius(),
+                normal_radius: match (settings.refinement, settings.estimator) {
+                    (Some(radius), _) => radius,
+                    (None, Estimator::SurfaceAverage { radius }) => radius / FIRST_RADIUS,
+                    _ => ball.radius(),
+                },
+                unit_world: shared.lattice.voxel_unit_world(),
+            },
+            curvatures: CurvatureBlock::new(),
+            errors: [[0.0; TOGETHER]; 2],
+            columns: blank_columns(shared, u.len()),
+        }
+    }
+
+    /// Fills the rows of a block of sums.
+    fn put(&mut self, sums: &SumsBlock) {
+        let settings = self.shared.settings;
+        let rows = &sums.number[..sums.count];
+        for (at, &row) in rows.iter().enumerate() {
+            let u = self.u[row as usize];
+            for (to, x) in self.curvatures.u.iter_mut().zip(u.to_array()) {
+                to[at] = x;
+            }
+        }
+        let found = &mut self.curvatures;
+        found.evaluate(sums, self.bars.unit_world, settings.directions);
+        let radius_world = self.bars.radius * self.bars.unit_world;
+        let columns = &mut self.columns;
+        for (at, &row) in rows.iter().enumerate() {
+            let row = row as usize;
+            columns.mean[row] = found.mean[at] as f32;
+            columns.gaussian[row] = found.gaussian[at] as f32;
+            columns.k1[row] = found.k1[at] as f32;
+            columns.k2[row] = found.k2[at] as f32;
+            let principal = [found.k1[at], found.k2[at]];
+            columns.flags[row] = flag(sums.cut[at], Flag::Border)
+                | flag(sums.several_sheets[at], Flag::SeveralSheets)
+                | flag(sums.rim[at].is_island(), Flag::Island)
+                | flag(sums.ridges[at] > NOISY_SHARE[0], Flag::Rough)
+                | mark_flags(self.marks[row])
+                | curvature_flags(found.no_area[at], principal, radius_world);
+        }
+        if settings.gives_errors() {
+            self.put_errors(sums);
+        }
+        let (found, columns) = (&self.curvatures, &mut self.columns);
+        if settings.directions {
+            let direction = |d: &[[f64; TOGETHER]; 3], at: usize| DVec3::from(d.map(|d| d[at]));
+            for (at, &row) in rows.iter().enumerate() {
+                let (d1, d2) = (direction(&found.d1, at), direction(&found.d2, at));
+                put_direction(&mut columns.d1, row as usize, self.shared, d1);
+                put_direction(&mut columns.d2, row as usize, self.shared, d2);
+            }
+        }
+        if settings.quality {
+            for (at, &row) in rows.iter().enumerate() {
+                columns.quality[row as usize] = quality_in_world(self.shared, found.quality[at]);
+            }
+        }
+    }
+
+    /// Fills the columns of errors, once the flags are known.
+    fn put_errors(&mut self, sums: &SumsBlock) {
+        let Some(compensation) = sums.compensation else {
+            return;
+        };
+        let (found, errors) = (&self.curvatures, &mut self.errors);
+        match self.shared.settings.error_kind {
+            ErrorKind::Bars => self.bars.of(compensation, sums, found, errors),
+            ErrorKind::Differences => {
+                errors[1] = [f64::NAN; TOGETHER];
+                for (error, difference) in errors[0].iter_mut().zip(sums.mean_difference) {
+                    *error = difference.abs() / self.bars.unit_world;
+                }
+            }
+        }
+        // Islands and surfels without a normal of their own are no part of a surface whose curvature could be missed.
+        let none = Flag::Island.bit() | Flag::DegenerateNormal.bit() | Flag::NoArea.bit();
+        let columns = &mut self.columns;
+        for (at, &row) in sums.number[..sums.count].iter().enumerate() {
+            let row = row as usize;
+            if columns.flags[row] & none == 0 {
+                columns.mean_error[row] = short(errors[0][at]);
+                columns.gaussian_error[row] = short(errors[1][at]);
+            }
+        }
     }
 }
 
@@ -300,19 +358,18 @@ fn short(x: f64) -> f32 {
     f32::from_bits((bits + 0x8000) & 0xffff_0000)
 }
 
-/// d1 and d2 in world axes.
-fn directions(shared: &Shared<'_>, curvature: Option<&Curvature>) -> [[f32; 3]; 2] {
-    match curvature {
-        None => [[f32::NAN; 3]; 2],
-        Some(c) => [c.d1, c.d2].map(|d| to_world(shared, upward(d))),
+/// Sets a row of d1 or d2, in world axes.
+fn put_direction(columns: &mut [Vec<f32>; 3], row: usize, shared: &Shared<'_>, d: DVec3) {
+    for (column, x) in columns.iter_mut().zip(to_world(shared, upward(d))) {
+        column[row] = x;
     }
 }
 
 /// mu_Omega / mu0 as seen in the world: where the axes of the image are left-handed there, a turn
 /// counter-clockwise in the image is one clockwise in the world.
-fn quality_in_world(shared: &Shared<'_>, curvature: &Curvature) -> f32 {
+fn quality_in_world(shared: &Shared<'_>, quality: f64) -> f32 {
     let [a, b, c] = shared.lattice.direction.map(DVec3::from_array);
-    let quality = curvature.quality as f32;
+    let quality = quality as f32;
     if a.cross(b).dot(c) < 0.0 {
         // not a minus sign, which would leave -0
         0.0 - quality
@@ -354,38 +411,22 @@ fn surfel_rows(
         .collect()
 }
 
-/// The flags, of those given, whose condition holds.
-fn flags_of<const N: usize>(conditions: [(bool, Flag); N]) -> FlagSet {
-    let set = conditions.into_iter().filter(|&(on, _)| on);
-    set.fold(0, |flags, (_, flag)| flags | flag.bit())
-}
-
-fn flags(sums: &BallSums, marks: u8, curvature: Option<&Curvature>, radius_world: f64) -> FlagSet {
-    flags_of([
-        (sums.cut, Flag::Border),
-        (sums.several_sheets, Flag::SeveralSheets),
-        (sums.rim.is_island(), Flag::Island),
-        (sums.is_rough(), Flag::Rough),
-    ]) | mark_flags(marks)
-        | curvature_flags(curvature, radius_world)
+/// The flag if its condition holds.
+fn flag(on: bool, flag: Flag) -> FlagSet {
+    FlagSet::from(on) * flag.bit()
 }
 
 /// What was known of the surfel before any ball.
 fn mark_flags(marks: u8) -> FlagSet {
-    flags_of([
-        (marks & mark::OPPOSED != 0, Flag::NormalOpposed),
-        (marks & mark::LIFTED != 0, Flag::Lifted),
-        (marks & mark::DEGENERATE != 0, Flag::DegenerateNormal),
-    ])
+    flag(marks & mark::OPPOSED != 0, Flag::NormalOpposed)
+        | flag(marks & mark::LIFTED != 0, Flag::Lifted)
+        | flag(marks & mark::DEGENERATE != 0, Flag::DegenerateNormal)
 }
 
-/// What the values tell.
-fn curvature_flags(curvature: Option<&Curvature>, radius_world: f64) -> FlagSet {
-    let largest = curvature.map_or(0.0, |c| c.k1.abs().max(c.k2.abs()));
-    flags_of([
-        (curvature.is_none(), Flag::NoArea),
-        (largest * radius_world > 1.0, Flag::RadiusTooLarge),
-    ])
+/// What the values tell; those of no area are no numbers.
+fn curvature_flags(no_area: bool, [k1, k2]: [f64; 2], radius_world: f64) -> FlagSet {
+    let largest = k1.abs().max(k2.abs());
+    flag(no_area, Flag::NoArea) | flag(largest * radius_world > 1.0, Flag::RadiusTooLarge)
 }
 
 #[cfg(test)]

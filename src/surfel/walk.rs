@@ -27,6 +27,12 @@ pub struct Rim {
 }
 
 impl Rim {
+    /// Of a part without a boundary.
+    pub(crate) const CLOSED: Self = Self {
+        cut_by_ball: false,
+        open: false,
+    };
+
     /// C(p) has no boundary: a closed surface within the ball.
     #[must_use]
     pub fn is_island(self) -> bool {
@@ -62,10 +68,7 @@ impl Walker {
         }
         self.epoch += 1;
         let epoch = self.epoch;
-        let mut rim = Rim {
-            cut_by_ball: false,
-            open: false,
-        };
+        let mut rim = Rim::CLOSED;
         self.queue.clear();
         self.stamp[start] = epoch;
         if belongs(start) {
