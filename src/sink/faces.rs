@@ -272,8 +272,8 @@ impl FaceTable {
                 let quality = curvature.map_or(f64::NAN, |c| c.quality);
                 at.quality.push(quality as f32);
             }
-            stats.row(area[f], &at, f);
         }
+        stats.rows(&area, &at, 0..area.len());
         let summary = stats.finish(&RadiusInfo {
             label: info.radius_label.clone(),
             voxels: info.radius,

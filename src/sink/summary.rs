@@ -10,13 +10,16 @@
 //! in none of the sums of that value.
 
 use std::collections::BTreeMap;
+use std::iter::Copied;
+use std::ops::Range;
 use std::path::Path;
+use std::slice::Iter;
 
 use serde::Serialize;
 use serde_json::Value;
 
 use super::SurfelSink;
-use super::batch::{CurvatureColumns, Flag, SurfelBatch};
+use super::batch::{CurvatureColumns, Flag, FlagSet, SurfelBatch};
 use super::error::SinkError;
 use super::info::{RadiusInfo, TableInfo};
 use super::parts::Parts;
@@ -234,8 +237,17 @@ pub(super) struct RadiusSums {
     mismatch_area: f64,
     quality: f64,
     quality_area: f64,
-    /// Rows by the error bar of H, as the bits of its number: they are in order, and as few as error bars have digits.
-    errors: BTreeMap<u32, u64>,
+    /// Rows by the error bar of H.
+    errors: Counts,
+}
+
+/// Numbers that are not negative, and how often each was met. As few as error bars have digits, they are counted in pages.
+#[derive(Clone, Debug)]
+struct Counts {
+    /// By the eight leading bits; of numbers whose sixteen last bits are 0 by the eight that follow. Empty before the first.
+    pages: Vec<Vec<u64>>,
+    /// All others, by their bits.
+    others: BTreeMap<u32, u64>,
 }
 
 #[derive(Clone, Debug)]
@@ -308,7 +320,7 @@ impl SurfelSink for SummarySink {
                 .or_insert_with(|| PartSums::new(&self.info));
             sums.rows += (to - from) as u64;
             for (sums, at) in sums.radii.iter_mut().zip(&batch.curvatures) {
-                (from..to).for_each(|row| sums.row(batch.area[row], at, row));
+                sums.rows(&batch.area, at, from..to);
             }
             from = to;
         }
@@ -364,44 +376,59 @@ impl RadiusSums {
             mismatch_area: 0.0,
             quality: 0.0,
             quality_area: 0.0,
-            errors: BTreeMap::new(),
+            errors: Counts::new(),
         }
     }
 
-    pub(super) fn row(&mut self, area: f32, at: &CurvatureColumns, row: usize) {
-        let [mean, gaussian, k1, k2] = [&at.mean, &at.gaussian, &at.k1, &at.k2].map(|v| v[row]);
-        let flags = at.flags[row];
-        let area = f64::from(area);
-        self.all.row(area, mean, gaussian);
-        if flags & Flag::Border.bit() == 0 {
-            self.without_border.row(area, mean, gaussian);
-        }
-        if flags != 0 {
-            for (count, flag) in self.flags.iter_mut().zip(Flag::ALL) {
-                *count += u64::from(flags & flag.bit() != 0);
+    /// Adds the rows `run` of some columns, column by column: each sum is in row order.
+    pub(super) fn rows(&mut self, area: &[f32], at: &CurvatureColumns, run: Range<usize>) {
+        let area = &area[run.clone()];
+        let [mean, gaussian, k1, k2] =
+            [&at.mean, &at.gaussian, &at.k1, &at.k2].map(|column| of_rows(column, &run));
+        let flags = &at.flags[run.clone()];
+        let border = |flags: FlagSet| flags & Flag::Border.bit() != 0;
+        let totals = area
+            .iter()
+            .zip(flags)
+            .zip(mean.clone().zip(gaussian.clone()));
+        for ((&area, &flags), (mean, gaussian)) in totals {
+            self.all.row(f64::from(area), mean, gaussian);
+            if !border(flags) {
+                self.without_border.row(f64::from(area), mean, gaussian);
+            }
+            if flags != 0 {
+                for (count, flag) in self.flags.iter_mut().zip(Flag::ALL) {
+                    *count += u64::from(flags & flag.bit() != 0);
+                }
             }
         }
-        // NaN areas compare false and weigh nothing.
-        let weight = if area > 0.0 { area } else { 0.0 };
-        for (sums, value) in self.values.iter_mut().zip([mean, gaussian, k1, k2]) {
-            sums.row(weight, value);
+        let of_values = [mean.clone(), gaussian, k1.clone(), k2.clone()];
+        for (sums, values) in self.values.iter_mut().zip(of_values) {
+            for (&area, value) in area.iter().zip(values) {
+                sums.row(weight(area), value);
+            }
         }
-        let mismatch = 0.5 * (f64::from(k1) + f64::from(k2)) - f64::from(mean);
-        if mismatch.is_finite() {
-            self.mismatch += weight * mismatch * mismatch;
-            self.mismatch_area += weight;
+        for ((&area, mean), (k1, k2)) in area.iter().zip(mean).zip(k1.zip(k2)) {
+            let mismatch = 0.5 * (f64::from(k1) + f64::from(k2)) - f64::from(mean);
+            if mismatch.is_finite() {
+                self.mismatch += weight(area) * mismatch * mismatch;
+                self.mismatch_area += weight(area);
+            }
         }
-        if let Some(&error) = at.mean_error.get(row)
-            && error.is_finite()
-            && flags & Flag::Border.bit() == 0
-        {
-            *self.errors.entry(error.abs().to_bits()).or_default() += 1;
+        if !at.mean_error.is_empty() {
+            for (error, &flags) in of_rows(&at.mean_error, &run).zip(flags) {
+                if error.is_finite() && !border(flags) {
+                    self.errors.add(error.abs(), 1);
+                }
+            }
         }
-        if let Some(&quality) = at.quality.get(row)
-            && quality.is_finite()
-        {
-            self.quality += weight * f64::from(quality) * f64::from(quality);
-            self.quality_area += weight;
+        if !at.quality.is_empty() {
+            for (quality, &area) in of_rows(&at.quality, &run).zip(area) {
+                if quality.is_finite() {
+                    self.quality += weight(area) * f64::from(quality) * f64::from(quality);
+                    self.quality_area += weight(area);
+                }
+            }
         }
     }
 
@@ -427,7 +454,7 @@ impl RadiusSums {
             k2,
             principal_mismatch_rms: (self.mismatch_area > 0.0)
                 .then(|| (self.mismatch / self.mismatch_area).sqrt()),
-            mean_curvature_error_median: median(&self.errors),
+            mean_curvature_error_median: self.errors.median(),
             quality_rms: (self.quality_area > 0.0)
                 .then(|| (self.quality / self.quality_area).sqrt()),
         }
@@ -446,21 +473,71 @@ impl RadiusSums {
         self.mismatch_area += other.mismatch_area;
         self.quality += other.quality;
         self.quality_area += other.quality_area;
-        for (error, rows) in &other.errors {
-            *self.errors.entry(*error).or_default() += rows;
+        for (error, rows) in other.errors.all() {
+            self.errors.add(f32::from_bits(error), rows);
         }
     }
 }
 
-/// The median of numbers that are not negative, by their bits: the lower of two in the middle.
-fn median(rows: &BTreeMap<u32, u64>) -> Option<f32> {
-    let half = rows.values().sum::<u64>().div_ceil(2);
-    let mut passed = 0;
-    let middle = rows.iter().find(|(_, count)| {
-        passed += **count;
-        passed >= half
-    });
-    middle.map(|(bits, _)| f32::from_bits(*bits))
+/// Some rows of a column.
+fn of_rows<'a>(column: &'a [f32], run: &Range<usize>) -> Copied<Iter<'a, f32>> {
+    column[run.clone()].iter().copied()
+}
+
+/// What a row weighs: NaN areas compare false and weigh nothing.
+fn weight(area: f32) -> f64 {
+    if area > 0.0 { f64::from(area) } else { 0.0 }
+}
+
+impl Counts {
+    fn new() -> Self {
+        Self {
+            pages: Vec::new(),
+            others: BTreeMap::new(),
+        }
+    }
+
+    /// Counts a number that is not negative some times more.
+    fn add(&mut self, x: f32, times: u64) {
+        let bits = x.to_bits();
+        if bits & 0xffff != 0 {
+            *self.others.entry(bits).or_default() += times;
+            return;
+        }
+        if self.pages.is_empty() {
+            self.pages = vec![Vec::new(); 256];
+        }
+        let page = &mut self.pages[(bits >> 24) as usize];
+        if page.is_empty() {
+            *page = vec![0; 256];
+        }
+        page[(bits >> 16 & 0xff) as usize] += times;
+    }
+
+    /// All numbers met, as bits, and how often: in order.
+    fn all(&self) -> BTreeMap<u32, u64> {
+        let mut all = self.others.clone();
+        for (page, counts) in self.pages.iter().enumerate() {
+            for (digits, &count) in counts.iter().enumerate() {
+                if count > 0 {
+                    all.insert((page as u32) << 24 | (digits as u32) << 16, count);
+                }
+            }
+        }
+        all
+    }
+
+    /// The lower of two in the middle.
+    fn median(&self) -> Option<f32> {
+        let all = self.all();
+        let half = all.values().sum::<u64>().div_ceil(2);
+        let mut passed = 0;
+        let middle = all.iter().find(|(_, count)| {
+            passed += **count;
+            passed >= half
+        });
+        middle.map(|(bits, _)| f32::from_bits(*bits))
+    }
 }
 
 impl RowTotals {
