@@ -77,7 +77,7 @@ pub struct CellMeasures {
 }
 
 /// Adds to a list and leaves no room at its end, as it is held for long.
-pub(crate) fn extend<T>(list: &mut Vec<T>, next: Vec<T>) {
+fn extend<T>(list: &mut Vec<T>, next: Vec<T>) {
     list.reserve_exact(next.len());
     list.extend(next);
 }
