@@ -6,7 +6,7 @@
 //!
 //! A linel or umbrella shared by bricks is evaluated by each of them, from the same numbers in the
 //! same order, so with the same bits; everything else is evaluated once. Linels are evaluated some at a
-//! time ([`super::linels`]), umbrellas one by one.
+//! time (`linels.rs`), umbrellas one by one.
 //!
 //! **mu2 by the lift.** The area of the spherical polygon u_1 .. u_d around a pointel differs from
 //! that of the trivial normals, (4 - d) pi/2, by the areas swept between consecutive surfels
