@@ -33,7 +33,7 @@ const ROUNDING: f64 = 1.5 * (1u64 << 52) as f64;
 /// The bits of 2^52, whose last binary digit is 1.
 const LARGE: u64 = 0x4330_0000_0000_0000;
 
-/// The bits of 1, without and with those of 2^(-1/2) taken away, up to the twentieth digit.
+/// The bits of 1, and those of 2^(-1/2) up to the twentieth digit.
 const ONE: u64 = 0x3ff0_0000_0000_0000;
 const ROOT_HALF: u64 = 0x3fe6_a09e_0000_0000;
 

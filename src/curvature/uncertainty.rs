@@ -14,7 +14,7 @@
 //! everything is measured in that unit: with epsilon = error of H times rho^3 and the contrast c = |difference of the tensors| rho^3,
 //!
 //! log epsilon = a + b log c + b' max(log(c/5), 0) + r s + r' s^2 + d log max(e, c/10) + k max(log(kappa rho / 0.25), 0)
-//! + t log(max(|c - c0|, c/10) / c),
+//! + t log(min(max(|c - c0|, c/10) / c, 50)),
 //!
 //! s the share of ridges ([`crate::measure::ball`]), e the same as c of the difference of H alone, kappa the larger principal
 //! curvature by size. c0 is the contrast of a surface of constant curvatures: as u tilts within the ball the tensor loses in the

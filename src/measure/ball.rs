@@ -54,7 +54,7 @@ use super::fixed;
 use super::grouped::{self, Falloff, GroupBlock};
 pub use super::local::LocalMeasures;
 use super::local::{LocalCells, NONE};
-use super::mixture::{Mixture, SumsBlock};
+use super::mixture::{Mixture, SumsBlock, TOGETHER};
 use super::surface::Surface;
 
 /// Which part of the surface in the ball is summed.
@@ -250,7 +250,13 @@ impl Work for SumsOf<'_> {
             let sums = self
                 .kernel
                 .sum(self.surface, self.measures, start, &mut scratch);
-            block.set(number, &sums);
+            block.push(number, &sums);
+            if block.count == TOGETHER {
+                (self.receive)(&block);
+                block.count = 0;
+            }
+        }
+        if block.count > 0 {
             (self.receive)(&block);
         }
     }

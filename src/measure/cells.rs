@@ -77,7 +77,7 @@ pub struct CellMeasures {
 }
 
 /// Adds to a list and leaves no room at its end, as it is held for long.
-fn extend<T>(list: &mut Vec<T>, next: Vec<T>) {
+pub(crate) fn append<T>(list: &mut Vec<T>, next: Vec<T>) {
     list.reserve_exact(next.len());
     list.extend(next);
 }
@@ -93,13 +93,13 @@ impl CellMeasures {
         // the end of what is there is where the next ones start
         let from = next.owned_from.iter().skip(1);
         let owned: Vec<_> = from.map(|n| [n[0] + linels, n[1] + umbrellas]).collect();
-        extend(&mut self.owned_from, owned);
-        extend(&mut self.lumped, next.lumped);
-        extend(&mut self.mu0, next.mu0);
-        extend(&mut self.linels, next.linels);
-        extend(&mut self.umbrellas, next.umbrellas);
-        extend(&mut self.omega, next.omega);
-        extend(&mut self.marks, next.marks);
+        append(&mut self.owned_from, owned);
+        append(&mut self.lumped, next.lumped);
+        append(&mut self.mu0, next.mu0);
+        append(&mut self.linels, next.linels);
+        append(&mut self.umbrellas, next.umbrellas);
+        append(&mut self.omega, next.omega);
+        append(&mut self.marks, next.marks);
     }
 
     /// Memory held, in bytes.

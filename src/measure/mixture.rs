@@ -63,19 +63,20 @@ impl SumsBlock {
         }
     }
 
-    /// Makes it the sums around one surfel, without evidence.
-    pub(super) fn set(&mut self, number: usize, sums: &BallSums) {
-        self.count = 1;
-        self.number[0] = number as u32;
-        self.mu0[0] = sums.mu0;
+    /// Adds the sums around one surfel, without evidence. There must be room.
+    pub(super) fn push(&mut self, number: usize, sums: &BallSums) {
+        let at = self.count;
+        self.count += 1;
+        self.number[at] = number as u32;
+        self.mu0[at] = sums.mu0;
         for (to, term) in self.tensor.iter_mut().zip(sums.tensor.terms()) {
-            to[0] = term;
+            to[at] = term;
         }
-        self.mu2[0] = sums.mu2;
-        self.omega[0] = sums.omega;
-        self.rim[0] = sums.rim;
-        self.several_sheets[0] = sums.several_sheets;
-        self.cut[0] = sums.cut;
+        self.mu2[at] = sums.mu2;
+        self.omega[at] = sums.omega;
+        self.rim[at] = sums.rim;
+        self.several_sheets[at] = sums.several_sheets;
+        self.cut[at] = sums.cut;
     }
 
     /// The sums around one surfel.

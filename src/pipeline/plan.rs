@@ -396,7 +396,7 @@ impl Plan {
         let bits_bytes = |edge: i32, slab: i32| {
             let slabs = slabs_in_flight(refining_reach.len());
             let indexed = |height: u64| 2 * (ball_z + refining_ahead as u64) + slabs * height;
-            // as far ahead as a slab is held
+            // ahead as far as a slab is held, beside what is indexed
             let ahead = 2 * ball_z + refining_ahead as u64 + 7;
             let packed = 2 * normal_z + ahead + slab as u64 + waiting;
             if let Some(bytes) = tiles(packed + indexed(slab as u64).min(z + 1), 8) {
@@ -427,6 +427,7 @@ impl Plan {
             lumped,
             invariants: !invariants.is_empty(),
             omega_bytes,
+            row_bytes,
         };
         let stages = refining_reach.iter().map(|&reach| Stage::Refining(reach));
         let stages: Vec<Stage> = [Stage::Normals, Stage::Cells, Stage::Sums]
@@ -442,10 +443,10 @@ impl Plan {
         let base = (fixed_bytes.saturating_add(read_bytes)).saturating_add(layer_bytes);
         let left = request.memory_bytes.saturating_sub(base);
         let is_wide = normal_reach.into_iter().max() > Some(WIDE_REACH);
-        // What depends on surfels is cut in pieces where they are many; the rest is known, and should not be cut.
-        let least_scratch = |edge: i32, slab: i32| {
+        // What depends on surfels is cut in pieces where they are many; the rest is known, and is not cut if it can be helped.
+        let least_scratch = |edge: i32, slab: i32, uncut: bool| {
             let of_stage = |&stage: &Stage| {
-                if needs.by_surfels(stage) {
+                if needs.by_surfels(stage) || !uncut {
                     needs.most_bytes(stage, [edge, edge, 1], cell_dims)
                 } else {
                     needs.most_bytes(stage, [edge, edge, slab], cell_dims) * request.threads as u64
@@ -467,12 +468,12 @@ impl Plan {
                 rest / 4
             }
         };
-        let fits = |edge: i32, slab: i32, eighths: u64| {
+        let fits = |edge: i32, slab: i32, eighths: u64, uncut: bool| {
             let grey = grey_bytes(slab);
             let rest = left.saturating_sub(grey);
             (slab == 1 || grey <= left / 4)
                 && bits_bytes(edge, slab) <= rest / 8 * eighths
-                && least_scratch(edge, slab) <= for_scratch(edge, slab)
+                && least_scratch(edge, slab, uncut) <= for_scratch(edge, slab)
         };
         // Rims are done again, so wide bricks save work, as long as there are enough for the workers.
         let [columns_x, columns_y] = [0, 1].map(|a| cell_dims[a] as u64);
@@ -484,16 +485,20 @@ impl Plan {
             Some(edge) => vec![edge],
             None => EDGES.into_iter().filter(|&edge| enough(edge)).collect(),
         };
-        let chosen = |eighths: u64| {
+        let chosen = |eighths: u64, uncut: bool| {
             HEIGHTS[if is_wide { 0 } else { 2 }..]
                 .iter()
                 .flat_map(|&slab| edges.iter().map(move |&edge| (edge, slab.min(edge))))
                 // low slabs beside wide bricks halo as much as narrow bricks do: prefer cubes
-                .filter(|&(edge, slab)| fits(edge, slab, eighths))
+                .filter(|&(edge, slab)| fits(edge, slab, eighths, uncut))
                 .max_by_key(|&(edge, slab)| (edge.min(2 * slab), slab, edge))
         };
-        let chosen = match (chosen(3).or_else(|| chosen(4)), request.brick) {
-            (Some((edge, _)), Some(fixed)) if edge == fixed && fits(edge, edge, 3) => {
+        let any = chosen(3, true).or_else(|| chosen(4, true));
+        let any = any
+            .or_else(|| chosen(3, false))
+            .or_else(|| chosen(4, false));
+        let chosen = match (any, request.brick) {
+            (Some((edge, _)), Some(fixed)) if edge == fixed && fits(edge, edge, 3, true) => {
                 Some((edge, edge))
             }
             (chosen, _) => chosen,

@@ -8,7 +8,7 @@ use crate::curvature::uncertainty::{Bars, ErrorKind};
 use crate::curvature::{CurvatureBlock, upward};
 use crate::khalimsky::{OrientedSurfel, sign};
 use crate::measure::ball::{BallKernel, LocalMeasures, NOISY_SHARE};
-use crate::measure::cells::{CellMeasures, mark};
+use crate::measure::cells::{CellMeasures, append, mark};
 use crate::measure::fixed;
 use crate::measure::mixture::{SumsBlock, TOGETHER};
 use crate::measure::surface::Surface;
@@ -165,8 +165,7 @@ impl BrickRows {
             *self = next;
             return;
         }
-        self.surfels.reserve_exact(next.surfels.len());
-        self.surfels.extend(next.surfels);
+        append(&mut self.surfels, next.surfels);
         for (to, next) in self.curvatures.iter_mut().zip(&next.curvatures) {
             extend(to, next, 0..next.flags.len());
         }

@@ -28,8 +28,8 @@ const BLOCK_BYTES: u64 = 84;
 /// The same for the measures of a surfel as floating point numbers.
 const FLOAT_BYTES: u64 = 64;
 
-/// Scratch for each surfel of a brick whose sums are made.
-const SUMMED_BYTES: u64 = 130;
+/// Scratch for each surfel of a brick whose sums are made, beside its row: its number, where it is put.
+const SUMMED_BYTES: u64 = 16;
 
 /// The same as [`SCRATCH_BYTES`] where linels and pointels are summed each for itself.
 const CELL_SCRATCH_BYTES: u64 = 300;
@@ -70,6 +70,8 @@ pub(super) struct Needs<'a> {
     pub(super) invariants: bool,
     /// Bytes more for each surfel, of mu_Omega.
     pub(super) omega_bytes: u64,
+    /// Bytes of a row.
+    pub(super) row_bytes: u64,
 }
 
 impl Needs<'_> {
@@ -115,7 +117,8 @@ impl Needs<'_> {
                 } else {
                     CELL_SCRATCH_BYTES
                 };
-                extracted(self.ball_reach, each + self.omega_bytes) + surfels(core) * SUMMED_BYTES
+                extracted(self.ball_reach, each + self.omega_bytes)
+                    + surfels(core) * (SUMMED_BYTES + self.row_bytes)
             }
         }
     }

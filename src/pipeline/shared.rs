@@ -56,6 +56,7 @@ impl Shared<'_> {
             lumped,
             invariants: !self.kernels.invariants.is_empty(),
             omega_bytes: omega_bytes(self.settings.quality, lumped),
+            row_bytes: self.plan.row_bytes,
         }
     }
 

@@ -441,7 +441,8 @@ impl Chosen {
 /// them: each of them works on a slab once the stage before has done the planes that it looks ahead
 /// ([`Plan::looks_ahead`]), and holds as many below. What is still held then, with the
 /// slab itself, must fit the budget; then waiting always ends. A slab of several planes is only
-/// chosen if the planes that must follow before *it* can be let go would fit too; with it come its bits and indices, for
+/// chosen if the planes that must follow before *it* can be let go would fit too (with grey values those of them that have not
+/// arrived are guessed, so there a slab can be too high for what comes); with it come its bits and indices, for
 /// which nothing else is set aside ([`Plan::bits_bytes`]).
 fn choose_slab(
     shared: &Shared<'_>,

@@ -1,4 +1,4 @@
-//! The sets against those of a walk, on random solids.
+//! The sets against those of a walk, on random solids, hairs and thin sheets.
 
 use std::sync::Arc;
 
