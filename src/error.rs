@@ -23,7 +23,8 @@ pub enum Error {
     /// The surface is too dense for the memory allowed.
     #[error(
         "the surface is too dense for the memory allowed: around plane {plane} {surfels} surfels \
-         must be held at once, which takes about {} MiB with everything else; allow that with --memory",
+         must be held at once, which takes about {} MiB with everything else; allow at least that with --memory (more \
+         if it gets denser further on), or take a smaller radius",
         needed_bytes.div_ceil(1 << 20)
     )]
     TooDense {
@@ -31,7 +32,7 @@ pub enum Error {
         plane: i32,
         /// Surfels within reach of that plane.
         surfels: u64,
-        /// Memory that would do.
+        /// Memory that would do as far as the volume was read.
         needed_bytes: u64,
     },
     /// The surface of a volume that is mostly uniform is too scattered for the memory allowed.

@@ -29,7 +29,7 @@ pub(crate) struct OutputArgs {
 
     /// Replace the results of an earlier run
     #[arg(long, help_heading = "Output")]
-    overwrite: bool,
+    pub(crate) overwrite: bool,
 
     /// Table on standard output: csv, arrow (an Arrow IPC stream) [default: csv]
     #[arg(

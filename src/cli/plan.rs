@@ -244,8 +244,15 @@ fn write_text(
     let plan = &job.plan;
     writeln!(
         out,
-        "cut        bricks of {0} x {0}, slabs of at most {1} planes, {2} threads",
-        plan.brick_edge, plan.slab_planes, plan.threads
+        "cut        bricks of {0} x {0}, slabs of at most {1} {3}, {2} threads",
+        plan.brick_edge,
+        plan.slab_planes,
+        plan.threads,
+        if plan.slab_planes == 1 {
+            "plane"
+        } else {
+            "planes"
+        }
     )?;
     if let Some(chunks) = &plan.chunks {
         let [cx, cy, cz] = chunks.shape;
@@ -302,7 +309,11 @@ fn write_text(
         ("grey values", plan.grey_bytes),
         ("indices", index_bytes),
         ("scratch of workers", plan.scratch_bytes),
-        ("surfels in flight", plan.surfel_budget_bytes),
+        ("surfels in flight", plan.in_flight_bytes()),
+        (
+            "rows of a slab",
+            plan.surfel_budget_bytes - plan.in_flight_bytes(),
+        ),
     ] {
         if bytes == 0 && matches!(what, "grey values" | "indices") {
             continue;
@@ -312,7 +323,7 @@ fn write_text(
     writeln!(
         out,
         "             room for {} surfels of {} bytes in flight",
-        sizes::count(plan.surfel_budget_bytes / plan.surfel_bytes.max(1)),
+        sizes::count(plan.in_flight_bytes() / plan.surfel_bytes.max(1)),
         plan.surfel_bytes
     )?;
     writeln!(out, "columns    {}", columns(job).join(" "))?;

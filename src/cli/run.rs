@@ -30,7 +30,8 @@ pub(crate) struct RunArgs {
     /// Tell at the end what the stages spent: time, waits, memory, bytes written
     ///
     /// On standard error as a table (a JSON line with --json), or as JSON in a file that is not among the
-    /// results: those are the same bytes for every run.
+    /// results: those are the same bytes for every run. With --stats=FILE the equals sign is needed; a file that
+    /// exists is replaced with --overwrite only.
     #[arg(long, value_name = "FILE", num_args = 0..=1, require_equals = true, help_heading = "Messages")]
     stats: Option<Option<PathBuf>>,
 }
@@ -45,6 +46,13 @@ pub(crate) fn run(args: &RunArgs, verbose: bool, stop: &AtomicBool) -> Result<()
     let job = job_args.prepare(style.of_bar(), stop)?;
     refuse_input_as_output(job.volume.source.path.as_deref(), &target)?;
     refuse_normals_as_output(job_args.method.normals_from(), &target)?;
+    if let Some(to) = &stats_to {
+        let inputs = [
+            job.volume.source.path.as_deref(),
+            job_args.method.normals_from(),
+        ];
+        to.prepare(inputs, job_args.output.overwrite)?;
+    }
     let plan = &job.plan;
     tracing::info!(
         brick_edge = plan.brick_edge,

@@ -5,6 +5,7 @@
 //! times are not.
 
 use std::fmt::Write;
+use std::fs::{OpenOptions, remove_file};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -16,7 +17,7 @@ use crate::pipeline::{Plan, Stats};
 use crate::sink::{SLICES_DIRECTORY, SURFELS_DIRECTORY};
 
 use super::exit::usage;
-use super::output::Target;
+use super::output::{Target, refuse_existing};
 use super::sizes;
 
 /// Where the statistics go.
@@ -50,6 +51,33 @@ impl StatsTo {
             )));
         }
         Ok(Some(Self::File(file.clone())))
+    }
+
+    /// Makes sure, before the run, that the file can be written and is none of `inputs`.
+    ///
+    /// # Errors
+    /// If it is one, or exists and is not to be replaced, or cannot be made.
+    pub(crate) fn prepare(&self, inputs: [Option<&Path>; 2], overwrite: bool) -> Result<()> {
+        let Self::File(path) = self else {
+            return Ok(());
+        };
+        let place = real(path);
+        for input in inputs.into_iter().flatten() {
+            if place.starts_with(real(input)) {
+                return Err(usage(format!("--stats={} is an input", path.display())));
+            }
+        }
+        refuse_existing(path, overwrite)?;
+        let exists = path.exists();
+        let tried = OpenOptions::new()
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .open(path);
+        let tried = tried.and_then(|_| if exists { Ok(()) } else { remove_file(path) });
+        tried.map_err(|error| {
+            anyhow::anyhow!("--stats={}: cannot be written: {error}", path.display())
+        })
     }
 }
 
@@ -171,7 +199,7 @@ impl RunStats {
                 "allowed_bytes": self.plan.memory_bytes,
                 "planned_bits_bytes": self.plan.bits_bytes,
                 "most_bits_bytes": self.stats.memory.bits_bytes,
-                "planned_surfel_bytes": self.plan.surfel_budget_bytes,
+                "planned_surfel_bytes": self.plan.in_flight_bytes(),
                 "most_surfel_bytes": self.stats.memory.surfel_bytes,
                 "bytes_per_surfel": self.plan.surfel_bytes,
                 "planned_scratch_bytes": self.plan.scratch_bytes,
@@ -266,7 +294,7 @@ impl RunStats {
         let flying = sizes::count(memory.surfel_bytes / each.max(1));
         line(
             "surfels",
-            self.plan.surfel_budget_bytes / 4 * 3,
+            self.plan.in_flight_bytes(),
             memory.surfel_bytes,
             format!("{flying} in flight, {each} bytes each"),
         )?;

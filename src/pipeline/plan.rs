@@ -11,7 +11,7 @@
 //! | bits of a layer | the same 1/8 byte, for the planes that are read together because pieces are as thick |
 //! | grey values | S + R + max(R, H + 3) + 2 planes as stored and three chunks of them, only for the gradient |
 //! | a table of normals | its row groups and [`crate::sink::GIVEN_READ_BYTES`], only for given normals |
-//! | surfels in flight | [`Plan::surfel_bytes`] each, within 3/4 of [`Plan::surfel_budget_bytes`] |
+//! | surfels in flight | [`Plan::surfel_bytes`] each, within [`Plan::in_flight_bytes`] |
 //! | rows | [`Plan::row_bytes`] a surfel of a slab, [`Plan::sent_row_bytes`] a surfel of its densest plane, within 1/4 of it |
 //! | refined normals | [`Plan::refining_ahead`] planes more on either side of what is held, three slabs a pass, 24 bytes and 33 a pass for each surfel in flight |
 //! | mu_Omega, if asked for | 8 bytes more a surfel in flight and of scratch (18 where linels are kept), 4 a row and radius |
@@ -213,6 +213,13 @@ impl Plan {
     #[must_use]
     pub fn planes_until_release(&self) -> i32 {
         self.planes_ahead() + self.refining_ahead() + self.ball_reach[2] + 1
+    }
+
+    /// Memory for surfels in flight, and for the bits and indices of high slabs: what the rows of a slab leave of
+    /// [`Self::surfel_budget_bytes`].
+    #[must_use]
+    pub fn in_flight_bytes(&self) -> u64 {
+        self.surfel_budget_bytes / 4 * 3
     }
 
     /// How many planes each stage below the normals looks ahead of a slab, and behind.

@@ -65,7 +65,7 @@ pub fn run(
         .thread_name(|i| format!("curvox-{i}"))
         .build()
         .map_err(|e| Error::Threads(e.to_string()))?;
-    let budget = Budget::new(plan.surfel_budget_bytes / 4 * 3);
+    let budget = Budget::new(plan.in_flight_bytes());
     let scratch = Scratch::new(plan.scratch_bytes, settings.threads);
     let failed = AtomicBool::new(false);
     let shared = Shared {

@@ -95,6 +95,23 @@ fn stats_are_a_table_or_a_line_and_never_among_the_results() {
     let refused = place.text("out/stats.json");
     let said = curvox(&arguments(&place, &format!("--stats={refused}"))).fails(2);
     assert!(said.contains("among the results"), "{said}");
+    // The input is never written over, and another file only where that is asked for.
+    let notes = place.text("notes.txt");
+    std::fs::write(&notes, "mine").unwrap();
+    let mut careful = arguments(&place, &format!("--stats={notes}")).to_vec();
+    careful.retain(|argument| argument != "--overwrite");
+    let said = curvox(&careful).fails(2);
+    assert!(said.contains("notes.txt: exists already"), "{said}");
+    assert_eq!(std::fs::read_to_string(&notes).unwrap(), "mine");
+    let input = arguments(&place, "--stats")[1].clone();
+    let before = std::fs::read(&input).unwrap();
+    let said = curvox(&arguments(&place, &format!("--stats={input}"))).fails(2);
+    assert!(said.contains("is an input"), "{said}");
+    assert_eq!(std::fs::read(&input).unwrap(), before);
+    // What cannot be written is said before the run.
+    let nowhere = place.text("nowhere/stats.json");
+    let said = curvox(&arguments(&place, &format!("--stats={nowhere}"))).fails(1);
+    assert!(said.contains("cannot be written"), "{said}");
     // Without it nothing is said.
     assert_eq!(curvox(&arguments(&place, "-q")[..8]).end().err, "");
 }
