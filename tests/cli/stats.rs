@@ -100,7 +100,7 @@ fn stats_are_a_table_or_a_line_and_never_among_the_results() {
     std::fs::write(&notes, "mine").unwrap();
     let mut careful = arguments(&place, &format!("--stats={notes}")).to_vec();
     careful.retain(|argument| argument != "--overwrite");
-    let said = curvox(&careful).fails(2);
+    let said = curvox(&careful).fails(1);
     assert!(said.contains("notes.txt: exists already"), "{said}");
     assert_eq!(std::fs::read_to_string(&notes).unwrap(), "mine");
     let input = arguments(&place, "--stats")[1].clone();
