@@ -72,6 +72,9 @@ mod elementary;
 
 mod simd;
 
+#[cfg(test)]
+mod testing;
+
 pub mod error;
 
 pub mod khalimsky;

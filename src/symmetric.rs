@@ -353,13 +353,8 @@ mod tests {
 
     /// Numbers from -1/2 to 1/2.
     fn numbers() -> impl FnMut() -> f64 {
-        let mut seed = 1u64;
-        move || {
-            seed = seed
-                .wrapping_mul(6364136223846793005)
-                .wrapping_add(1442695040888963407);
-            (seed >> 11) as f64 / (1u64 << 53) as f64 - 0.5
-        }
+        let mut number = crate::testing::numbers(1);
+        move || 0.5 * number()
     }
 
     /// The matrix of some eigenvalues in a random frame.

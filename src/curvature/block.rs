@@ -69,10 +69,10 @@ impl CurvatureBlock {
 
     #[cold]
     fn replace_principal(&mut self, sums: &SumsBlock, unit_world: f64, at: usize) {
-        let shape = sums.tensor(at).scaled(1.0 / sums.mu0[at]);
-        let ([k1, k2], d) = super::principal_by_jacobi(&shape, self.u(at));
-        let per_length = 1.0 / unit_world;
-        (self.k1[at], self.k2[at]) = (k1 * per_length, k2 * per_length);
+        let (mu0, tensor) = (sums.mu0[at], sums.tensor(at));
+        let d;
+        ([self.k1[at], self.k2[at]], d) =
+            super::principal_by_jacobi(mu0, &tensor, self.u(at), unit_world);
         for (to, d) in [&mut self.d1, &mut self.d2].into_iter().zip(d) {
             for (to, x) in to.iter_mut().zip(d.to_array()) {
                 to[at] = x;
@@ -156,13 +156,7 @@ mod tests {
 
     /// Random sums, with what is no number, infinite, zero, and large beside the penalty among them.
     fn blocks() -> Vec<(SumsBlock, [Each<f64>; 3])> {
-        let mut seed = 7u64;
-        let mut random = move || {
-            seed = seed
-                .wrapping_mul(6364136223846793005)
-                .wrapping_add(1442695040888963407);
-            (seed >> 11) as f64 / (1u64 << 52) as f64 - 1.0
-        };
+        let mut random = crate::testing::numbers(7);
         let special = [
             0.0,
             -0.0,

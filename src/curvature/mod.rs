@@ -94,10 +94,8 @@ impl Curvature {
         }
         let (mut found, holds) = Self::by_penalty(mu0, tensor, mu2, omega, u, unit_world);
         if !holds {
-            let (k, d) = principal_by_jacobi(&tensor.scaled(1.0 / mu0), u);
-            let per_length = 1.0 / unit_world;
-            (found.k1, found.k2) = (k[0] * per_length, k[1] * per_length);
-            [found.d1, found.d2] = d;
+            ([found.k1, found.k2], [found.d1, found.d2]) =
+                principal_by_jacobi(mu0, tensor, u, unit_world);
         }
         Some(found)
     }
@@ -133,15 +131,21 @@ impl Curvature {
     }
 }
 
-/// Principal curvatures and directions where curvatures are not small against the penalty.
-fn principal_by_jacobi(shape: &Symmetric, u: DVec3) -> ([f64; 2], [DVec3; 2]) {
+/// Principal curvatures and directions from mu0 and the tensor where curvatures are not small against the penalty.
+fn principal_by_jacobi(
+    mu0: f64,
+    tensor: &Symmetric,
+    u: DVec3,
+    unit_world: f64,
+) -> ([f64; 2], [DVec3; 2]) {
+    let (shape, per_length) = (tensor.scaled(1.0 / mu0), 1.0 / unit_world);
     let principal = eigen(&shape.zip(&Symmetric::outer(u, u), |m, uu| m - NORMAL_PENALTY * uu));
     // Without the direction of the penalty; where curvatures are beyond it, they stay.
     let far = |i: usize| (principal.values[i] + NORMAL_PENALTY).abs();
     let normal = (0..3).fold(0, |best, i| if far(i) < far(best) { i } else { best });
     let kept = [[1, 2], [0, 2], [0, 1]][normal];
     (
-        kept.map(|i| principal.values[i]),
+        kept.map(|i| principal.values[i] * per_length),
         kept.map(|i| principal.vectors[i]),
     )
 }

@@ -223,6 +223,7 @@ fn evaluate(
 mod tests {
     use super::*;
     use crate::simd::at_every_level;
+    use crate::testing::numbers;
 
     fn evidence(difference: f64, ridges: f64) -> Evidence {
         Evidence {
@@ -330,13 +331,8 @@ mod tests {
 
     #[test]
     fn bars_of_blocks_are_those_of_the_formula_at_every_level() {
-        let mut seed = 13u64;
-        let mut random = move || {
-            seed = seed
-                .wrapping_mul(6364136223846793005)
-                .wrapping_add(1442695040888963407);
-            (seed >> 11) as f64 / (1u64 << 53) as f64
-        };
+        let mut number = numbers(13);
+        let mut random = move || 0.5 * (number() + 1.0);
         let special = [0.0, f64::NAN, f64::INFINITY, 1e-300, 1e300, -3.0];
         for n in 0..200 {
             let mut sums = SumsBlock::new();

@@ -385,17 +385,8 @@ mod tests {
     use crate::measure::field::Field;
     use crate::measure::formula::{linel_tensor, swept_area};
     use crate::simd::at_every_level;
+    use crate::testing::numbers;
     use crate::volume::scattered;
-
-    /// Numbers from -1 to 1.
-    fn numbers(mut seed: u64) -> impl FnMut() -> f64 {
-        move || {
-            seed = seed
-                .wrapping_mul(6364136223846793005)
-                .wrapping_add(1442695040888963407);
-            (seed >> 11) as f64 / (1u64 << 52) as f64 - 1.0
-        }
-    }
 
     /// Normals of all kinds: any, near the trivial ones, the trivial ones, their opposites, one and the same.
     fn normals(surface: &Surface, seed: u64) -> Vec<DVec3> {

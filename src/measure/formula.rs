@@ -145,6 +145,7 @@ pub fn swept_area(n_f: DVec3, n_g: DVec3, u_f: DVec3, u_g: DVec3) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::testing::numbers;
     use std::f64::consts::{FRAC_PI_2, PI};
 
     #[test]
@@ -163,13 +164,7 @@ mod tests {
             1e8,
             1e300,
         ];
-        let mut seed = 3u64;
-        let mut random = || {
-            seed = seed
-                .wrapping_mul(6364136223846793005)
-                .wrapping_add(1442695040888963407);
-            (seed >> 11) as f64 / (1u64 << 52) as f64 - 1.0
-        };
+        let mut random = numbers(3);
         let mut points: Vec<[f64; 2]> = special
             .iter()
             .flat_map(|&y| special.map(|x| [[y, x], [y, -x], [-y, x], [-y, -x]]))

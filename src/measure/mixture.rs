@@ -242,6 +242,7 @@ fn mix(
 mod tests {
     use super::*;
     use crate::simd::at_every_level;
+    use crate::testing::numbers;
 
     struct Mixed<'a>(Option<Compensation>, &'a GroupBlock);
 
@@ -267,13 +268,7 @@ mod tests {
 
     /// Random sums, of surfaces from smooth to noise, with 0 among them.
     fn blocks() -> Vec<GroupBlock> {
-        let mut seed = 11u64;
-        let mut random = move || {
-            seed = seed
-                .wrapping_mul(6364136223846793005)
-                .wrapping_add(1442695040888963407);
-            (seed >> 11) as f64 / (1u64 << 52) as f64 - 1.0
-        };
+        let mut random = numbers(11);
         let block = |n: usize| {
             let mut sums = GroupBlock::new();
             sums.count = TOGETHER;

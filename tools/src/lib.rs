@@ -40,4 +40,6 @@ pub mod picture;
 
 pub mod paper;
 
+pub mod random;
+
 pub mod speed;

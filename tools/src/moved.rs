@@ -5,6 +5,8 @@
 use curvox::shape::{BoundingBox, ImplicitShape};
 use glam::{DMat3, DQuat, DVec3};
 
+use crate::random::Random;
+
 /// A shape after a motion.
 #[derive(Clone, Debug)]
 pub struct Moved<S> {
@@ -28,13 +30,8 @@ impl<S: ImplicitShape> Moved<S> {
         if number == 0 {
             return Self::new(shape, DQuat::IDENTITY, DVec3::ZERO);
         }
-        let mut state = number;
-        let mut draw = || {
-            state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-            let z = (state ^ (state >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-            let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-            ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64 - 0.5
-        };
+        let mut random = Random(number);
+        let mut draw = || random.draw() - 0.5;
         // A uniform direction in four dimensions, without functions of a libm.
         let turn = loop {
             let q = DQuat::from_xyzw(draw(), draw(), draw(), draw());

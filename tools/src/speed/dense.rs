@@ -9,6 +9,7 @@ use super::SpeedArgs;
 use super::clock::median;
 use super::runs::{self, Destination, Method};
 use super::subject::Subject;
+use crate::random::Random;
 
 /// Radii, in voxels.
 const RADII: [f64; 2] = [3.0, 6.0];
@@ -31,22 +32,9 @@ const STEPS: usize = 240;
 /// How much a hair bends at a step.
 const BEND: f64 = 0.18;
 
-/// Numbers from 0 to 1, the same for the same seed (the generator SplitMix64).
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ z >> 31) >> 11) as f64 / (1u64 << 53) as f64
-    }
-
-    /// Three numbers from -1 to 1.
-    fn vector(&mut self) -> [f64; 3] {
-        [0; 3].map(|_| 2.0 * self.next() - 1.0)
-    }
+/// Three numbers from -1 to 1.
+fn vector(random: &mut Random) -> [f64; 3] {
+    [0; 3].map(|_| 2.0 * random.draw() - 1.0)
 }
 
 fn subject(name: String, edge: usize, inside: impl Fn([usize; 3]) -> bool) -> Subject {
@@ -85,11 +73,11 @@ fn hairs(edge: usize) -> Subject {
     };
     let far = edge as f64 - 5.0;
     for _ in 0..HAIRS * edge.pow(3) / EDGE.pow(3) {
-        let mut at = [0; 3].map(|_| 5.0 + random.next() * (edge as f64 - 10.0));
-        let mut along = unit(random.vector());
-        let radius = 1.5 + 0.5 * random.next();
+        let mut at = [0; 3].map(|_| 5.0 + random.draw() * (edge as f64 - 10.0));
+        let mut along = unit(vector(&mut random));
+        let radius = 1.5 + 0.5 * random.draw();
         for _ in 0..STEPS {
-            let bend = random.vector();
+            let bend = vector(&mut random);
             along = unit([0, 1, 2].map(|a| along[a] + 2.0 * BEND * bend[a]));
             for a in 0..3 {
                 if !(4.0..=far).contains(&(at[a] + along[a])) {
